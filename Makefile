@@ -60,7 +60,7 @@ $(VENV)/.installed-%: $(INSTALLED)
 	@$(call install,--constraint constraints.txt --editable ".[$*]")
 	@touch $@
 
-study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row-small, row, desk, paper, pontoon)
+study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row-small, row, desk, paper, pontoon, tank)
 	$(PUDDLE) study --preset $(PRESET)
 
 test: $(INSTALLED_DEV) ## check style, format, types and layers, and run the tests

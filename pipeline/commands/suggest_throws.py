@@ -40,8 +40,8 @@ def suggest_throws(
 ) -> None:
     """List the starts of throws that would teach a study's networks most.
 
-    Half of them are states that robots pass through, where the members disagree far from every throw. The other half
-    covers the range of robots' states evenly. Limits and results are in the simulation's units, or with --scale in
+    The first half covers the range of robots' states evenly. The other half are states that robots pass through, where
+    the members disagree far from every throw. Limits and results are in the simulation's units, or with --scale in
     those of a bench, by Froude's law.
     """
     import math

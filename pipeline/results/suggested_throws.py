@@ -47,7 +47,7 @@ SIMULATION = TankScale()
 
 
 def suggested_throws(study: Study, n: int, throws: str | None = None, limits: ThrowLimits | None = None) -> Starts:
-    """Suggest the starts of throws, those that fill holes in the data first.
+    """Suggest the starts of throws, those that cover the range of robots first.
 
     Args:
         study: the study; its first replicate is used.
@@ -59,7 +59,7 @@ def suggested_throws(study: Study, n: int, throws: str | None = None, limits: Th
         n starts.
 
     Raises:
-        PuddleError: n is out of range, or the study has no such ensemble, no pilots or no throws.
+        PuddleError: n or the heights are out of range, or the study has no such ensemble, no pilots or no throws.
     """
     if not 1 <= n <= MOST:
         raise PuddleError(f"--n: expected 1 to {MOST:,} throws, got {n:,}")
@@ -76,9 +76,13 @@ def suggested_throws(study: Study, n: int, throws: str | None = None, limits: Th
         (pilots,) = study.upstream["pilot"].chain(PilotId(data_set))
         states = decode_table(study.store.read(pilots, STATES), schema="states", version=1, source=STATES)
     rng = generator(study.settings.seed, "suggest throws", n)
-    return suggest_throws(
-        n, states["observation"], transitions.observation, ensemble, rng, physics=study.settings.physics, limits=limits
-    )
+    physics = study.settings.physics
+    try:
+        return suggest_throws(
+            n, states["observation"], transitions.observation, ensemble, rng, physics=physics, limits=limits
+        )
+    except ValueError as error:
+        raise PuddleError(f"{error} (in units of the simulation)") from None
 
 
 def as_lines(starts: Starts, bench: TankScale = SIMULATION) -> Iterator[str]:

@@ -18,6 +18,7 @@ from pipeline.store.track_file import TrackColumns, bars_of, has_bars, read_trac
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Files, Inputs, OutsideFile
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable
+from tasks.tracks.bars import TrackedBarError
 from tasks.tracks.effects import Fall, Memory, falls_oddly
 from tasks.tracks.residuals import TrackReport, check_throws
 from tasks.tracks.table import Paths, length_scale_of, time_scale_of
@@ -136,7 +137,8 @@ def check_tracks(settings: Settings) -> Paths | None:
     try:
         return check_throws(read.table, read.bars, settings.tracks, settings.physics)
     except TrackError as error:
-        raise PuddleError(f"{settings.tracks.file}: {error}") from None
+        named = settings.tracks.bars if isinstance(error, TrackedBarError) else None
+        raise PuddleError(f"{named or settings.tracks.file}: {error}") from None
 
 
 def unnamed(tracks: Tracks) -> Tracks:
@@ -171,6 +173,7 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
     tracks = settings.tracks
     assert tracks is not None
     mm = 1000 * length_scale_of(tracks)
+    speed = length_scale_of(tracks) / time_scale_of(tracks)
     noise_x, noise_y, noise_angle = report["noise"]
     of_noise = "stated" if report["sd_given"] else "estimated"
     sd_vx, sd_vy, sd_omega = report["residual_sd"]
@@ -187,8 +190,13 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
     for what, n, at in zip(_CONTACTS, report["n_contacts"], report["contact_at"], strict=True):
         if n:
             lines.append(f"warning: {n:,} contacts with {what.format(f'{at * mm:.0f} mm')}; frames around are left out")
+    lines.append(
+        f"    walls and floor: bars slower than {report['slowest_contact'] * speed:.2g} m/s may touch one unnoticed"
+    )
     fall, gravity = Fall(**_with_nan(report["fall"])), settings.physics.gravity
-    if falls_oddly(fall, gravity):
+    if not fall.n_rows:
+        lines.append("    gravity: not tested, no bar is seen above the water")
+    elif falls_oddly(fall, gravity):
         lines.append(
             f"warning: bars above the water fall at {-fall.acceleration:.2f} ± {fall.sd:.2f} m/s², expected "
             f"{gravity:g}: check tracks.length_unit, the scale of the calibration, and the frame rate"

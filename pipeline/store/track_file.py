@@ -47,6 +47,8 @@ def _of_parquet(content: bytes, name: str) -> dict[str, Float64]:
     except (pa.ArrowException, OSError) as error:
         raise PuddleError(f"{name}: cannot be read as Parquet: {error}. Expected CSV or Parquet") from None
     known = [column for column in table.column_names if column in _KNOWN]
+    if len(set(known)) < len(known):
+        raise PuddleError(f"{name}: a column appears twice in {', '.join(known)}, expected each once")
     try:
         return {column: table[column].cast(pa.float64()).to_numpy() for column in known}
     except pa.ArrowException as error:

@@ -1,9 +1,9 @@
 """Which throws to make next: starts that would teach an ensemble most about the states of robots.
 
-Half of them fill holes: states that pilot robots pass through, far from every throw, and where members disagree. States
-beyond the range of robots are left out, because an ensemble that is wrong may throw its pilots there. The other half of
-the starts covers that range evenly. Throws at the states of robots alone would make things worse: members then
-agree where all are wrong.
+The first half of them covers the range of robots' states evenly. The other half fills holes: states that pilot robots
+pass through, far from every throw, and where members disagree. States beyond the range of robots are left out, because
+an ensemble that is wrong may throw its pilots there. Throws at the states of robots alone would make things worse:
+members then agree where all are wrong.
 """
 
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ def suggest_throws(
     physics: Physics | None = None,
     limits: ThrowLimits | None = None,
 ) -> Starts:
-    """Return the starts of n throws, those that fill holes first.
+    """Return the starts of n throws, those that cover the range first: who makes fewer leaves out holes.
 
     Args:
         n: number of throws.
@@ -60,7 +60,7 @@ def suggest_throws(
         Starts, numbered from 0.
 
     Raises:
-        ValueError: n is less than 1, or there are no throws.
+        ValueError: n is less than 1, there are no throws, or robots' links are at none of the heights.
     """
     if n < 1:
         raise ValueError(f"n is {n}, expected at least 1 throw")
@@ -74,10 +74,21 @@ def suggest_throws(
     chosen = pilots[_holes(n_holes, pilots, thrown, ensemble)]
     angle = np.arccos(np.clip(chosen[:, _COS], -1, 1)) * rng.choice((-1, 1), n_holes)  # cos θ leaves its sign open
     columns = (np.zeros(n_holes), chosen[:, _Y], angle % (2 * np.pi), *chosen[:, [_VX, _VY, _OMEGA]].T)
-    even = even_starts(n - n_holes, physics, rng, ranges=narrow)
-    length = np.concatenate([chosen[:, _A].astype(np.float64), even.length_scale])
-    state = np.concatenate([np.stack(columns, axis=1).astype(np.float32), even.state])
+    even = even_starts(n - n_holes, physics, rng, ranges=narrow, heights=_heights(ranges, limits))
+    length = np.concatenate([even.length_scale, chosen[:, _A].astype(np.float64)])
+    state = np.concatenate([even.state, np.stack(columns, axis=1).astype(np.float32)])
     return Starts(np.arange(n), *_throwable(length, state, limits))
+
+
+def _heights(ranges: RobotRanges, limits: ThrowLimits) -> tuple[float, float]:
+    """Return the heights that can be thrown from among those of robots' links [m]."""
+    low, high = max(limits.heights[0], -ranges.y_reach), min(limits.heights[1], ranges.y_reach)
+    if low >= high:
+        raise ValueError(
+            f"heights are {limits.heights[0]:g} to {limits.heights[1]:g} m, expected some within {ranges.y_reach:g} m "
+            f"of the surface, where robots' links are"
+        )
+    return low, high
 
 
 def _possible(pilots: Float32, limits: ThrowLimits) -> Bools:
@@ -87,11 +98,10 @@ def _possible(pilots: Float32, limits: ThrowLimits) -> Bools:
 
 
 def _throwable(length: Float64, state: Float32, limits: ThrowLimits) -> tuple[Float64, Float32]:
-    """Bring starts within limits: slower in the same direction, at the nearest height, with the nearest bar."""
+    """Bring starts within limits: slower in the same direction, and with the nearest bar."""
     state = state.copy()
     speed = np.hypot(state[:, 3], state[:, 4])
     state[:, 3:5] *= np.minimum(1, limits.max_velocity / np.maximum(speed, 1e-9))[:, None].astype(np.float32)
-    state[:, 1] = np.clip(state[:, 1], *limits.heights)
     if limits.lengths:
         bars = np.array(limits.lengths)
         length = bars[np.abs(bars[:, None] - length).argmin(axis=0)]

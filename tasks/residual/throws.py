@@ -169,7 +169,14 @@ def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | 
     return _uniform(throws, rng)
 
 
-def even_starts(n: int, physics: Physics, rng: np.random.Generator, *, ranges: RobotRanges | None = None) -> Starts:
+def even_starts(
+    n: int,
+    physics: Physics,
+    rng: np.random.Generator,
+    *,
+    ranges: RobotRanges | None = None,
+    heights: tuple[float, float] | None = None,
+) -> Starts:
     """Spread n starts evenly over the length, height, angle, velocities and spin of robots' links.
 
     Args:
@@ -177,6 +184,7 @@ def even_starts(n: int, physics: Physics, rng: np.random.Generator, *, ranges: R
         physics: constants of the base simulator.
         rng: source of randomness, which scrambles the sequence.
         ranges: narrower ones, where not every start can be thrown.
+        heights: least and greatest height of the centre [m]; by default those of the ranges.
 
     Returns:
         n starts.
@@ -186,7 +194,14 @@ def even_starts(n: int, physics: Physics, rng: np.random.Generator, *, ranges: R
     ranges = ranges or robot_ranges(physics)
     v, omega, turn = ranges.max_velocity, ranges.max_omega, 2 * np.pi
     low, high = np.transpose(
-        [ranges.length_scale, (-ranges.y_reach, ranges.y_reach), (0, turn), (-v, v), (-v, v), (-omega, omega)]
+        [
+            ranges.length_scale,
+            heights or (-ranges.y_reach, ranges.y_reach),
+            (0, turn),
+            (-v, v),
+            (-v, v),
+            (-omega, omega),
+        ]
     )
     sequence = qmc.Sobol(len(low), scramble=True, rng=rng)
     even = sequence.random_base2(max(n - 1, 0).bit_length())[:n]  # whole powers of 2 are balanced

@@ -14,6 +14,10 @@ _BAR_DENSITY = 800.0  # of a bar that floats as a link does [kg/m³]
 _THICKNESS = 1e-3, 1.0  # that a bar of that density may have on the bench [m]
 
 
+class TrackedBarError(TrackError):
+    """A bar is none that networks can learn from, rather than its track."""
+
+
 @dataclass(frozen=True, eq=False)
 class Bars:
     """The bar of each throw; axis 0 is the throw."""
@@ -28,23 +32,23 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
     """Return the long axis of each throw's bar [m of simulation].
 
     Raises:
-        TrackError: a bar is not a link of the simulation, or the bars differ in density.
+        TrackedBarError: a bar is not a link of the simulation, or the bars differ in density.
     """
     for name in ("length", "width", "mass"):
         values = getattr(bars, name)
         if (k := first(~(np.isfinite(values) & (values > 0)))) is not None:
-            raise TrackError(
+            raise TrackedBarError(
                 f"throw {bars.throw[k]}: the bar's {name} is {values[k]:g}, expected a number above 0: measure the bar"
             )
     repeated, n = np.unique(bars.throw, return_counts=True)
     if (k := first(n > 1)) is not None:
-        raise TrackError(f"throw {repeated[k]} has {n[k]} bars, expected one: give each throw a number of its own")
+        raise TrackedBarError(f"throw {repeated[k]} has {n[k]} bars, expected one: give each throw a number of its own")
     unit = metres(tracks) / length_scale_of(tracks)
     length, width = bars.length * unit, bars.width * unit
     gene = next(gene for gene in GENES if gene.name == "length_scale")
     least, greatest = gene.low * (1 - _TOLERANCE), gene.high * (1 + _TOLERANCE)
     if (k := first((length < least) | (length > greatest))) is not None:
-        raise TrackError(
+        raise TrackedBarError(
             f"throw {bars.throw[k]}: the bar's length is {bars.length[k]:g} {tracks.length_unit}, or {length[k]:.3g} m "
             f"of simulation: expected {gene.low:g} to {gene.high:g} m of simulation, which is "
             f"{gene.low / unit:.4g} to {gene.high / unit:.4g} {tracks.length_unit}: check tracks.length_unit (m or "
@@ -52,21 +56,21 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
         )
     area = length * width
     if (k := first(np.abs(area - 1) > _TOLERANCE)) is not None:
-        raise TrackError(
+        raise TrackedBarError(
             f"throw {bars.throw[k]}: the bar is {bars.length[k]:g} by {bars.width[k]:g} {tracks.length_unit}: expected "
             f"a width of {1 / (length[k] * unit):.4g} {tracks.length_unit}, because every link has an area of 1 m² of "
             f"simulation: measure the bar, or check tracks.length_unit and tracks.metres_per_metre"
         )
     typical = float(np.median(bars.mass))
     if (k := first(np.abs(bars.mass / typical - 1) > _TOLERANCE)) is not None:
-        raise TrackError(
+        raise TrackedBarError(
             f"throw {bars.throw[k]}: the bar's mass is {bars.mass[k]:g} kg and that of most bars {typical:g} kg: "
             f"expected equal masses, because every link has the same: ballast the bars, or give masses in kg"
         )
     if tracks.scaling == "froude":
         thickness = typical / (_BAR_DENSITY * length_scale_of(tracks) ** 2)
         if not _THICKNESS[0] < thickness < _THICKNESS[1]:
-            raise TrackError(
+            raise TrackedBarError(
                 f"the mass of most bars is {typical:g} kg, and bars that float as links do would be "
                 f"{1000 * thickness:.3g} mm thick: expected {1000 * _THICKNESS[0]:g} to {1000 * _THICKNESS[1]:g} mm: "
                 f"give masses in kg"

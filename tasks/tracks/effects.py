@@ -98,6 +98,16 @@ def _reach(paths: Paths, long_axes: Float64) -> tuple[Float64, Float64]:
     return (length * sin + cos / length) / 2, (length * cos + sin / length) / 2
 
 
+def slowest_contact(frame_interval: float, position_sd: tuple[float, float]) -> float:
+    """Return the speed below which a bar may touch a wall or the floor unnoticed [m/s].
+
+    Args:
+        frame_interval: typical interval between frames [s].
+        position_sd: deviations of measurements of x and y [m].
+    """
+    return max(_SLOWEST_CONTACT, _SD_OF_CONTACT * float(np.sqrt(2)) * max(position_sd) / frame_interval)
+
+
 def _velocity(paths: Paths, position: Float64, sd: float) -> tuple[Float64, Float64]:
     """Return the velocity in each interval between frames, and the least speed that counts as fast there [m/s]."""
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), np.inf)

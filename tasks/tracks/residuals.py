@@ -9,9 +9,9 @@ import numpy as np
 from tasks.arrays import Bools, Float64
 from tasks.residual import MeasuredTransitions, observe
 from tasks.simulation.free_links import FreeLinks
-from tasks.tracks.bars import Bars, length_scales
+from tasks.tracks.bars import Bars, TrackedBarError, length_scales
 from tasks.tracks.conventions import Tracks
-from tasks.tracks.effects import Contacts, Fall, Memory, check_falls, contacts, memory, n_contacts
+from tasks.tracks.effects import Contacts, Fall, Memory, check_falls, contacts, memory, n_contacts, slowest_contact
 from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, paths_of
 from tasks.world import Physics
@@ -34,6 +34,7 @@ class TrackReport:
     n_contacts: tuple[int, int, int]  # with the left wall, the right wall and the floor
     contact_at: tuple[float, float, float]  # median x, x and y of bars there [m]; NaN where there is none
     n_rows_at_contacts: int  # transitions left out
+    slowest_contact: float  # that is noticed [m/s]
     fall: Fall
     memory: Memory
 
@@ -53,7 +54,7 @@ def _checked_paths(table: TrackTable, bars: Bars, tracks: Tracks) -> tuple[Paths
     paths = paths_of(table, tracks)
     missing = [int(throw) for throw in paths.throw if int(throw) not in long_axes]
     if missing:
-        raise TrackError(f"throw {missing[0]} has no bar: give its length, width and mass")
+        raise TrackedBarError(f"throw {missing[0]} has no bar: give its length, width and mass")
     return paths, np.array([long_axes[int(throw)] for throw in paths.throw])
 
 
@@ -65,6 +66,7 @@ class _Estimate:
     long_axes: Float64  # (n_throws,) of their bars [m]
     time: Float64  # (n_throws, n_steps + 1) of the simulation's steps [s]; padding repeats the last
     smoothed: list[Smoothed]  # x, y and the angle
+    position_sd: tuple[float, float]  # of measurements of x and y [m]
     contacts: Contacts
     n_gaps: int
     n_rows_in_gaps: int
@@ -133,6 +135,7 @@ def residual_transitions(
         n_contacts=(n_contacts(turned.left), n_contacts(turned.right), n_contacts(turned.floor)),
         contact_at=(where[0], where[1], where[2]),
         n_rows_at_contacts=first.n_rows_at_contacts,
+        slowest_contact=slowest_contact(_typical_interval(paths), first.position_sd),
         fall=first.fall,
         memory=recalled,
     )
@@ -150,7 +153,8 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
     step = np.minimum(np.arange(n_steps.max() + 1), n_steps[:, None])
     time = np.minimum(step * dt, paths.time[:, -1:])
     smoothed = _smoothed(paths, paths.pose, time)
-    turned = contacts(paths, long_axes, (smoothed[0].noise.measurement, smoothed[1].noise.measurement))
+    position_sd = smoothed[0].noise.measurement, smoothed[1].noise.measurement
+    turned = contacts(paths, long_axes, position_sd)
 
     real = np.arange(n_steps.max()) < n_steps[:, None]
     in_gap, n_gaps = _in_gaps(paths, time)
@@ -164,6 +168,7 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
         long_axes,
         time,
         smoothed,
+        position_sd,
         turned,
         n_gaps=n_gaps,
         n_rows_in_gaps=int((real & in_gap).sum()),

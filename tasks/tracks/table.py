@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,13 @@ from tasks.world import froude_time
 MIN_FRAMES = 4  # of a throw: velocity and acceleration and one frame to judge them by
 _MAX_SPEED = 60.0  # between two frames [m/s of simulation]; the paper's throws begin at up to 28
 _MAX_TURN = 0.75 * np.pi  # between two frames; half a turn might have been either way [rad]
-_AWAY = 10.0  # times the usual change of velocity between frames, that a jump away and back is at least
-_UNLIKE = 0.15  # share of the changes of velocity around it that such a jump may leave unexplained
+_AWAY = 10.0  # times the usual change of a path between frames, that a jump is at least
+_LEAST_AWAY = 0.01  # [m of simulation or rad]
+_UNLIKE = 0.15  # share of the changes of velocity around it that a jump may leave unexplained
 _MIN_WAY, _MAX_WAY = 0.01, 500.0  # that throws cover [m of simulation]
 _LEAST_SHARE = 1 / 100  # of what most throws cover, that each does
+_LONGEST_THROW = 120.0  # [s] of the file
+_MOST_SLOWER = 4.5  # times the interval between most throws' frames, or a share of it, that a throw's may be
 _MOST_TURNS = 4 * np.pi  # typical angle in radians at most; degrees exceed 2π, unless nearly every bar is upright
 
 
@@ -100,6 +104,7 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     sd = np.stack(stated, axis=1)[at] * scale if len(stated) == len(given) else None
     time = (table.time[at] - table.time[at[:, :1]]) / time_scale_of(tracks)
     paths = Paths(numbers, time, pose, sd, np.arange(n_frames) <= last[:, None])
+    _check_rates(paths, time_scale_of(tracks))
     _check_ways(paths, tracks)
     _check_jumps(paths, tracks)
     _check_angles(table, tracks)
@@ -134,6 +139,24 @@ def _check_times(throw: int, time: Float64) -> None:
             f"throw {throw}, frame {k + 1}: the time is {time[k + 1]:.6g} s after {time[k]:.6g} s, expected a later "
             f"one: sort the frames, and give each throw a number of its own"
         )
+    if time[-1] - time[0] > _LONGEST_THROW:
+        raise TrackError(
+            f"throw {throw} lasts for {time[-1] - time[0]:.4g} s, expected at most {_LONGEST_THROW:g} s: give times in "
+            f"seconds, and each throw a number of its own"
+        )
+
+
+def _check_rates(paths: Paths, time_scale: float) -> None:
+    """Refuse a throw whose frames are much farther apart in time than those of the others, or much closer."""
+    interval = np.diff(paths.time, axis=1) * time_scale
+    typical = np.nanmedian(np.where(paths.seen[:, 1:], interval, np.nan), axis=1)
+    usual = float(np.median(typical))
+    if (k := first(np.abs(np.log(typical / usual)) > np.log(_MOST_SLOWER))) is not None:
+        raise TrackError(
+            f"throw {paths.throw[k]} has {1 / typical[k]:.3g} frames a second, most throws {1 / usual:.3g}: expected "
+            f"{1 / _MOST_SLOWER:.2g} to {_MOST_SLOWER:g} times as many: check the unit of time, and track videos in "
+            f"slow motion with --slowdown"
+        )
 
 
 def _check_ways(paths: Paths, tracks: Tracks) -> None:
@@ -164,11 +187,14 @@ def _check_angles(table: TrackTable, tracks: Tracks) -> None:
                 f"nine in ten angles are at most {most:.3g}°, so that every bar would be upright: check "
                 f"tracks.angle_unit (rad or deg)"
             )
-    elif (typical := float(np.median(np.abs(table.angle)))) > _MOST_TURNS:
-        raise TrackError(
-            f"angles are {typical:.3g} rad (median), expected at most {_MOST_TURNS:.3g}: check tracks.angle_unit (rad "
-            f"or deg)"
-        )
+        return
+    for throw in np.unique(table.throw):
+        typical = float(np.median(np.abs(table.angle[table.throw == throw])))
+        if typical > _MOST_TURNS:
+            raise TrackError(
+                f"throw {throw}: angles are {typical:.3g} rad (median), expected at most {_MOST_TURNS:.3g}: check "
+                f"tracks.angle_unit (rad or deg), and give all throws in one unit"
+            )
 
 
 def _check_jumps(paths: Paths, tracks: Tracks) -> None:
@@ -184,13 +210,7 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
             f"file, expected at most {_MAX_SPEED * to_bench:.3g} m/s: remove frames that were tracked wrongly, give "
             f"each throw a number of its own, and check tracks.length_unit and the unit of time"
         )
-    if (away := _away_and_back(paths)) is not None:
-        k, frame, distance = away
-        unit = metres(tracks) / length_scale_of(tracks)
-        raise TrackError(
-            f"throw {paths.throw[k]}, frame {frame}: the bar jumps by {distance / unit:.3g} {tracks.length_unit} and "
-            f"back: remove frames that were tracked wrongly"
-        )
+    _check_frames_apart(paths, tracks)
     turn = np.abs(step[..., 2])
     if len(at := np.argwhere(both & (turn > _MAX_TURN))):
         k, frame = at[0]
@@ -201,29 +221,70 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
         )
 
 
-def _away_and_back(paths: Paths) -> tuple[int, int, float] | None:
-    """Find a frame in which a bar is elsewhere, and not before and after; None if there is none.
+def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
+    """Refuse a frame, or the rest of a throw, in which a bar is elsewhere."""
+    unit = metres(tracks) / length_scale_of(tracks)
+    for axes, size, words in ((slice(2), unit, tracks.length_unit), (slice(2, 3), np.pi / 180, "°")):
+        for jump in _jumps(paths, axes):
+            gap = "" if words == "°" else " "
+            raise TrackError(
+                f"throw {paths.throw[jump.throw]}, frame {jump.frame}: the bar "
+                f"{'turns' if words == '°' else 'jumps'} by {jump.distance / size:.3g}{gap}{words} "
+                f"{'and back' if jump.returns else 'since the frame before, and goes on from there'}: remove frames "
+                f"that were tracked wrongly"
+            )
+
+
+@dataclass(frozen=True)
+class _Jump:
+    """A frame in which a bar is elsewhere than its path leads."""
+
+    throw: int
+    frame: int
+    distance: float
+    returns: bool  # in the next frame
+
+
+def _jumps(paths: Paths, axes: slice) -> Iterator[_Jump]:
+    """Yield the first frame in which some coordinates jump and return, and the first from which they stay away.
 
     A frame that is off by d changes the velocity by d / h before it, by - d / h - d / h' at it and by d / h' after it,
-    where h and h' are the intervals before and after. A bar that bounces changes its velocity once.
-
-    Returns:
-        Index of the throw and of the frame, and how far off it is [m of simulation].
+    where h and h' are the intervals before and after. Where the path goes on from there, the velocity changes by d / h
+    before it and by - d / h at it. A bar that bounces changes its velocity once. Only positions are tested for staying
+    away: a bar that hits the water may turn within a frame.
     """
     if paths.pose.shape[1] < MIN_FRAMES + 1:
-        return None
+        return
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), 1.0)
-    velocity = np.diff(paths.pose[..., :2], axis=1) / interval[..., None]
+    velocity = np.diff(paths.pose[..., axes], axis=1) / interval[..., None]
     change = np.diff(velocity, axis=1)  # at the frames 1 to n - 2
-    usual = float(np.median((np.hypot(change[..., 0], change[..., 1]) * interval[:, 1:])[paths.seen[:, 2:]]))
-    around = np.stack([change[:, :-2], change[:, 1:-1], change[:, 2:]], axis=-1)  # of the frames 2 to n - 3
-    before, after = 1 / interval[:, 1:-2], 1 / interval[:, 2:-1]
-    pattern = np.stack([before, -before - after, after], axis=-1)[:, :, None]
-    off = (around * pattern).sum(axis=-1, keepdims=True) / np.square(pattern).sum(axis=-1, keepdims=True)
-    unlike = np.square(around - off * pattern).sum(axis=(2, 3))
-    distance = np.hypot(off[:, :, 0, 0], off[:, :, 1, 0])
-    far = (distance > _AWAY * usual) & (unlike < _UNLIKE * np.square(around).sum(axis=(2, 3))) & paths.seen[:, 4:]
-    if not far.any():
-        return None
-    k, frame = np.argwhere(far)[0]
-    return int(k), int(frame) + 2, float(distance[k, frame])
+    usual = float(np.median((np.linalg.norm(change, axis=-1) * interval[:, 1:])[paths.seen[:, 2:]]))
+    before, after = 1 / interval[:, 1:-2], 1 / interval[:, 2:-1]  # of the frames 2 to n - 3
+    yield from _alike(paths, change, np.stack([before, -before - after, after], axis=-1), usual, returns=True)
+    if axes.start is None and paths.pose.shape[1] > MIN_FRAMES + 1:
+        before = 1 / interval[:, 2:-2]  # of the frames 3 to n - 3
+        pattern = np.stack([np.zeros_like(before), before, -before, np.zeros_like(before)], axis=-1)
+        yield from _alike(paths, change, pattern, usual, returns=False)
+
+
+def _alike(paths: Paths, change: Float64, pattern: Float64, usual: float, *, returns: bool) -> Iterator[_Jump]:
+    """Yield the first frame around which the velocity changes as a jump makes it.
+
+    Args:
+        paths: the throws.
+        change: (n_throws, n_frames - 2, n) changes of the velocity at the frames.
+        pattern: (n_throws, n_windows, n_changes) changes that a jump by 1 makes, at successive frames.
+        usual: change of a path between frames.
+        returns: whether the pattern is that of a bar which returns.
+    """
+    n = pattern.shape[-1]
+    around = np.lib.stride_tricks.sliding_window_view(change, n, axis=1)  # (n_throws, n_windows, n axes, n)
+    template = pattern[:, :, None]
+    off = (around * template).sum(axis=-1, keepdims=True) / np.square(template).sum(axis=-1, keepdims=True)
+    unlike = np.square(around - off * template).sum(axis=(2, 3))
+    distance = np.linalg.norm(off[..., 0], axis=-1)
+    seen = paths.seen[:, n + 1 :]
+    far = (distance > max(_AWAY * usual, _LEAST_AWAY)) & (unlike < _UNLIKE * np.square(around).sum(axis=(2, 3))) & seen
+    if far.any():
+        k, window = np.argwhere(far)[0]
+        yield _Jump(int(k), int(window) + (2 if returns else 3), float(distance[k, window]), returns)

@@ -202,7 +202,9 @@ def test_settings_mistakes_name_file_line_and_field(line, expected, capsys, tmp_
 
 
 def test_unknown_words(capsys, tmp_path, design):
-    assert "desk, laptop, paper, pontoon, row, row-small, smoke" in refused(capsys, "study", "--preset", "desktop")
+    assert "desk, laptop, paper, pontoon, row, row-small, smoke, tank" in refused(
+        capsys, "study", "--preset", "desktop"
+    )
     assert "No such command" in refused(capsys, "evolv")
     said = refused(capsys, "study", "--set", "grid.depth=[1]", "--store", str(tmp_path / "store"))
     assert "--set grid.depth" in said and "depths" in said

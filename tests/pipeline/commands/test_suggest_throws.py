@@ -58,6 +58,7 @@ def test_at_a_tank_they_are_in_bench_units_and_within_what_can_be_thrown(recorde
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--heights", "4", "5"], "heights are 4 to 5 m, expected some within 3 m of the surface"),
         (("--n", 0), "--n: expected 1 to 10,000 throws, got 0"),
         (("--throws", "designed_throws"), "no ensemble of replicate 0 of designed_throws: expected one of throws"),
         (("--study", "missing"), "missing"),

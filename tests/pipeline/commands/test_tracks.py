@@ -115,6 +115,7 @@ def test_tracks_that_changed_are_refused(collected, tmp_path, capsys) -> None:
     [
         ("tracks.csv", "angle", "heading", "got none named angle: name the columns so"),
         ("tracks-bars.csv", "mass", "weight", "tracks-bars.csv: expected the columns throw, length, width, mass"),
+        ("tracks-bars.csv", "\n1,", "\n9,", "tracks-bars.csv: throw 1 has no bar: give its length"),
         ("tracks.csv", "\n1,0.016667,", "\n1,0.000000,", "throw 1, frame 1: the time is 0 s after 0 s"),
         ("tracks.csv", "\n1,0.016667,", "\n1,0.016667,9,0,0\n1,0.02,", "throw 1, frame 1: the bar jumps at"),
         ("tracks.csv", "\n2,0.016667,", "\n2,0.016667,nan,0,0\n2,0.02,", "throw 2, frame 1: x is nan"),

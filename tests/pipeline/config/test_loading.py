@@ -328,5 +328,5 @@ def test_presets_are_the_yaml_files_of_the_folder(tmp_path: Path, monkeypatch: p
 
 
 def test_the_presets_of_this_checkout_exist() -> None:
-    assert {"smoke", "laptop", "row-small", "row", "desk", "paper", "pontoon"} <= set(preset_names())
+    assert {"smoke", "laptop", "row-small", "row", "desk", "paper", "pontoon", "tank"} <= set(preset_names())
     assert all(preset_path(name).is_file() for name in preset_names())

@@ -30,12 +30,12 @@ def suggested(n=40, pilots=None, thrown=None, members=None, seed=5):
     return suggest_throws(n, pilots, thrown, members or ensemble(), np.random.default_rng(seed))
 
 
-def test_half_of_them_fill_the_hole_and_half_cover_the_range():
+def test_half_of_them_cover_the_range_and_half_fill_the_hole():
     starts = suggested()
     omega = np.abs(starts.state[:, 5])
-    assert np.mean(omega[:20] > 1) > 0.9 and len(starts) == 40 and starts.throw.tolist() == [*range(40)]
+    assert np.mean(omega[20:] > 1) > 0.9 and len(starts) == 40 and starts.throw.tolist() == [*range(40)]
     for column, reach in ((1, RANGES.y_reach), (3, RANGES.max_velocity), (5, RANGES.max_omega)):
-        even = starts.state[20:, column] / reach
+        even = starts.state[:20, column] / reach
         assert even.min() < -0.7 and even.max() > 0.7
 
 
@@ -44,9 +44,9 @@ def test_holes_are_filled_where_pilots_go():
     observed = np.column_stack(
         (starts.length_scale, starts.state[:, 1], np.cos(starts.state[:, 2]), starts.state[:, 3:])
     )
-    found = distances(observed[:20], pilots, np.ones(len(OBSERVATION)))
+    found = distances(observed[20:], pilots, np.ones(len(OBSERVATION)))
     assert found.distance == pytest.approx(0, abs=1e-4)
-    assert len(np.unique(starts.state[:20], axis=0)) == 20
+    assert len(np.unique(starts.state[20:], axis=0)) == 20
 
 
 def test_members_that_agree_leave_distance_from_no_throw():
@@ -73,7 +73,20 @@ def test_what_can_not_be_thrown_is_not_suggested():
     assert len(starts) == 40 and set(starts.length_scale) == {1.0, 1.5, 3.0}
     assert np.hypot(*starts.state[:, 3:5].T).max() <= 1.5 + 1e-6 and np.abs(starts.state[:, 5]).max() <= 0.8
     assert starts.state[:, 1].min() >= -0.5 and starts.state[:, 1].max() <= 1.0
-    assert np.hypot(*starts.state[20:, 3:5].T).max() > 1.2  # the whole range of what can be thrown
+    assert np.hypot(*starts.state[:20, 3:5].T).max() > 1.2  # the whole range of what can be thrown
+
+
+def test_heights_that_can_be_thrown_from_are_covered_evenly():
+    limits = ThrowLimits(heights=(-0.5, 1.0))
+    starts = suggest_throws(40, states(2000, 1), states(500, 2), ensemble(), np.random.default_rng(5), limits=limits)
+    counts, _ = np.histogram(starts.state[:20, 1], bins=4, range=(-0.5, 1.0))
+    assert counts.sum() == 20 and counts.min() >= 3
+
+
+def test_heights_at_which_no_robot_has_a_link_are_refused():
+    limits = ThrowLimits(heights=(4.0, 5.0))
+    with pytest.raises(ValueError, match="heights are 4 to 5 m, expected some within 3 m of the surface"):
+        suggest_throws(4, states(200, 1), states(50, 2), ensemble(), np.random.default_rng(5), limits=limits)
 
 
 def test_a_number_below_one_is_refused():

@@ -93,6 +93,35 @@ def test_a_frame_in_which_the_bar_is_elsewhere_is_named(table: TrackTable, away:
         paths_of(changed(table, "x", row, table.x[row] + away), PLAIN)
 
 
+def test_a_frame_from_which_the_bar_is_elsewhere_is_named(table: TrackTable) -> None:
+    """Another bar was taken for it: 3 cm between two frames are no faster than a throw."""
+    rows = np.flatnonzero(table.throw == 2)[6:]
+    x = table.x.copy()
+    x[rows] += 0.03
+    with pytest.raises(
+        TrackError, match=r"throw 2, frame 6: the bar jumps by 0\.0\d+ m since the frame before, and go"
+    ):
+        paths_of(replace(table, x=x), PLAIN)
+
+
+def test_a_frame_in_which_the_bar_has_turned_is_named(table: TrackTable) -> None:
+    row = np.flatnonzero(table.throw == 1)[5]
+    with pytest.raises(TrackError, match=r"throw 1, frame 5: the bar turns by \d\d\.?\d?° and back: remove frames"):
+        paths_of(changed(table, "angle", row, table.angle[row] + np.radians(80)), PLAIN)
+
+
+@pytest.mark.parametrize("factor", [8, 1 / 8])
+def test_a_throw_in_slow_motion_among_others_is_refused(table: TrackTable, factor: float) -> None:
+    time = np.where(table.throw == 3, table.time * factor, table.time)
+    with pytest.raises(TrackError, match=r"throw 3 has [\d.]+ frames a second, most throws 60: .* with --slowdown"):
+        paths_of(replace(table, time=time), PLAIN)
+
+
+def test_times_in_milliseconds_are_refused(table: TrackTable) -> None:
+    with pytest.raises(TrackError, match=r"throw 0 lasts for [\d.]+ s, expected at most 120 s: give times in seconds"):
+        paths_of(replace(table, time=1000 * table.time), PLAIN)
+
+
 def test_a_bar_that_bounces_jumps_nowhere(table: TrackTable) -> None:
     """It leaves the wall as fast as it reached it."""
     rows = np.flatnonzero(table.throw == 1)
@@ -131,7 +160,7 @@ def test_one_throw_in_another_unit_is_refused(table: TrackTable) -> None:
     ("said", "factor", "message"),
     [
         ("deg", 1.0, r"nine in ten angles are at most \d\.\d+°.* check tracks\.angle_unit"),
-        ("rad", 180 / np.pi, r"angles are [\d.]+ rad \(median\), expected at most 12\.6: check tracks\.angle_unit"),
+        ("rad", 180 / np.pi, r"throw 0: angles are [\d.]+ rad \(median\), expected at most 12\.6: check tracks\.an"),
     ],
 )
 def test_angles_in_another_unit_are_refused(table: TrackTable, said: str, factor: float, message: str) -> None:
@@ -140,3 +169,10 @@ def test_angles_in_another_unit_are_refused(table: TrackTable, said: str, factor
         paths_of(replace(table, angle=turns * factor), Tracks(file="tracks.csv", angle_unit=said))
     stated = Tracks(file="tracks.csv", angle_unit="deg" if said == "rad" else "rad")
     paths_of(replace(table, angle=turns * factor), stated)
+
+
+def test_one_throw_in_degrees_among_radians_is_refused(table: TrackTable) -> None:
+    turns = np.tile(0.5 + 0.02 * np.arange(len(table.time) // 4), 4)
+    angle = np.where(table.throw == 2, np.degrees(turns), turns)
+    with pytest.raises(TrackError, match=r"throw 2: angles are [\d.]+ rad \(median\).* give all throws in one unit"):
+        paths_of(replace(table, angle=angle), PLAIN)
