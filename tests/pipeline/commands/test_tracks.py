@@ -23,6 +23,8 @@ network: {hidden_layers: 1, width: 4}
 training: {n_iterations: 10, batch_size: 16}
 ensemble: {n_members: 1}
 grid: {depths: [1.0], environments: [residual_slush], single_member_depths: [], n_trials: 1}
+evolution: {n_generations: 2, afpo: {population_size: 4}}
+transfer: {n_generations: 1}
 tracks: {file: tracks.csv}
 throws: {source: tracks}
 """
@@ -57,6 +59,16 @@ def test_a_data_set_is_made_of_tracks(collected) -> None:
     item = TRAIN.item(study.settings, TRAIN.plan(study.settings)[0], 0, None, study.upstream)
     inputs = {name: {of: study.store.read(part, of) for of in source.files} for name, source in item.inputs.items()}
     assert "errors.parquet" in TRAIN.compute(item.job, inputs)
+
+
+def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
+    folder, _ = collected
+    shutil.copytree(folder / "store", tmp_path / "store")
+    for command in ("train", "pilot", "evolve", "transfer"):
+        assert call(command, "--study", "tank", "--store", str(tmp_path / "store"), "--workers", "0") == 0
+    (champion,) = open_study("tank", tmp_path / "store").champions().to_pylist()
+    scores = [champion[name] for name in ("predicted", "zero_shot", "adapted")]
+    assert champion["environment"] == "residual_slush" and np.isfinite(scores).all()
 
 
 def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_path) -> None:
