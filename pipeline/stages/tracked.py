@@ -19,7 +19,8 @@ from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Files, Inputs, OutsideFile
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable
 from tasks.tracks.bars import TrackedBarError
-from tasks.tracks.effects import Fall, Memory, falls_oddly
+from tasks.tracks.fluid_memory import Memory
+from tasks.tracks.free_fall import Fall, falls_oddly
 from tasks.tracks.residuals import TrackReport, check_throws
 from tasks.tracks.table import Paths, length_scale_of, time_scale_of
 

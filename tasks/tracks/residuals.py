@@ -11,9 +11,11 @@ from tasks.residual import MeasuredTransitions, observe
 from tasks.simulation.free_links import FreeLinks
 from tasks.tracks.bars import Bars, TrackedBarError, length_scales
 from tasks.tracks.conventions import Tracks
-from tasks.tracks.effects import Contacts, Fall, Memory, check_falls, contacts, memory, n_contacts, slowest_contact
+from tasks.tracks.fluid_memory import Memory, memory
+from tasks.tracks.free_fall import Fall, check_falls
 from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, paths_of
+from tasks.tracks.tank_contacts import Contacts, contacts, n_contacts, slowest_contact
 from tasks.world import Physics
 
 _LONGEST_GAP = 4.0  # typical intervals between a throw's frames; steps in a longer gap are left out

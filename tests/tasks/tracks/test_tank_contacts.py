@@ -1,21 +1,13 @@
-"""Walls, the floor and memory, planted and absent."""
-
-from dataclasses import replace
+"""Walls and the floor, planted and absent."""
 
 import numpy as np
 import pytest
 
-from tasks.residual import MeasuredTransitions, Throws, initial_states, simulate_throws
-from tasks.tracks.effects import check_falls, contacts, memory, n_contacts
-from tasks.tracks.table import Paths, TrackError
-from tasks.world import Physics, Slush
+from tasks.tracks.table import Paths
+from tasks.tracks.tank_contacts import contacts, n_contacts, slowest_contact
 
-ROBOTS = {"y_reach": 2.0, "max_velocity": 4.0, "max_omega": 3.0}  # their states, about
 NOISE = (1e-6, 1e-6)  # of measurements [m]
 ONE = np.ones(1)  # long axis of the bar [m]
-PHYSICS = Physics()
-
-
 TIME = np.linspace(0, 1, 33)
 
 
@@ -96,25 +88,6 @@ def test_a_bar_that_lies_on_the_floor_rests_there() -> None:
     assert n_contacts(found.floor) == 1
 
 
-@pytest.mark.parametrize("factor", [0.5, 1.2, 2.0])
-def test_bars_that_fall_too_fast_or_too_slowly_are_refused(factor: float) -> None:
-    """Throws through air, of a tank whose scale is off by a factor; by a fifth is a warning."""
-    throws = initial_states(Throws(n_throws=20, **ROBOTS), np.random.default_rng(2))
-    state = throws.state.copy()
-    state[:, 1] += 30
-    exact = simulate_throws(replace(throws, state=state), 30, Slush(), PHYSICS)
-    plain = MeasuredTransitions(**exact.columns(), residual_sd=np.full_like(exact.residual, 1e-3))
-    gravity = PHYSICS.gravity * factor  # of the simulator; bars fall as ever
-    residual = plain.residual.copy()
-    residual[:, 4] += (gravity - PHYSICS.gravity) * PHYSICS.time_step
-    fallen = replace(plain, residual=residual)
-    if factor == 1.2:
-        assert check_falls(fallen, gravity, PHYSICS.time_step).acceleration == pytest.approx(-9.8, abs=0.01)
-        return
-    with pytest.raises(TrackError, match=r"bars above the water fall at 9\.8 ± .* expected"):
-        check_falls(fallen, gravity, PHYSICS.time_step)
-
-
 def test_noise_makes_no_contacts() -> None:
     rng = np.random.default_rng(1)
     still = paths(*(0.02 * rng.normal(size=(2, 33))))
@@ -122,22 +95,11 @@ def test_noise_makes_no_contacts() -> None:
     assert not contacts(still, ONE, (0.02, 0.02)).around.any()
 
 
-def test_memory_is_found_where_it_is_planted_and_nowhere_else() -> None:
-    throws = initial_states(Throws(n_throws=150, **ROBOTS), np.random.default_rng(2))
-    exact = simulate_throws(throws, 60, Slush(), PHYSICS)
-    plain = MeasuredTransitions(**exact.columns(), residual_sd=np.zeros_like(exact.residual))
-    assert not memory(plain, PHYSICS.time_step, 0.02).found
-    velocity = exact.state.reshape(150, 60, 6)[..., 3:5]
-    before = np.zeros_like(velocity)
-    before[:, 6:] = (velocity[:, 6:] - velocity[:, :-6]) / 6
-    residual = exact.residual.copy()
-    residual[:, 3:5] -= 0.4 * before.reshape(-1, 2)
-    found = memory(replace(plain, residual=residual), PHYSICS.time_step, 0.02)
-    assert found.found and found.share == pytest.approx(-0.4, abs=0.15)
-
-
-def test_memory_is_not_tested_where_noise_hides_it() -> None:
-    throws = initial_states(Throws(n_throws=40, **ROBOTS), np.random.default_rng(2))
-    exact = simulate_throws(throws, 30, Slush(), PHYSICS)
-    noisy = MeasuredTransitions(**exact.columns(), residual_sd=np.ones_like(exact.residual))
-    assert memory(noisy, PHYSICS.time_step, 0.02).n_rows == 0
+def test_noise_and_fast_frames_hide_slow_contacts() -> None:
+    """The slowest that is noticed is noticed, and a little slower ones are not."""
+    sd = 0.02
+    least = slowest_contact(1 / 32, (sd, sd))
+    assert slowest_contact(1 / 64, (sd, sd)) == 2 * least and slowest_contact(1 / 32, NOISE) == 0.5
+    for factor, found in ((1.05, True), (0.95, False)):
+        way = reflected(0.5 * factor * least, factor * least)  # at the middle frame
+        assert contacts(paths(way, np.zeros(33)), ONE, (sd, sd)).right.any() == found
