@@ -250,7 +250,17 @@ def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
     return [*(_mean(arm.get(name)) for name in _MEASURED), ", ".join(shares), _share(arm.get("adapted"), best)]
 
 
+def core_seconds(results: Mapping[str, Any]) -> str:
+    """Tabulate the processor time of each stage, and its share."""
+    of_stage = results["core_seconds"]
+    total = sum(of_stage.values())
+    lines = ["| stage | core-minutes | share |", "|---|--:|--:|"]
+    lines += [f"| {stage} | {seconds / 60:.1f} | {seconds / total:.0%} |" for stage, seconds in of_stage.items()]
+    return "\n".join([*lines, f"| all | {total / 60:.0f} | |"]).replace("%", " %")
+
+
 TABLES = {
+    "core-seconds": core_seconds,
     "residuals": tracks_tables.residuals,
     "studies": tracks_tables.studies,
     "fluids": tracks_tables.fluids,
