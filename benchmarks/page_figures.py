@@ -321,19 +321,23 @@ def tracks_hold(tracks: Recorded) -> bool:
     return all(math.isclose(share, 0.75, abs_tol=0.05) for share in quarter) and max(half) < 0.5
 
 
-def _shares_of_exact_states(tracks: Recorded) -> dict[str, Share]:
-    """Return what tracks at 60 frames a second without noise, and the synthetic video, give of exact states."""
-    by_source = {row["learned_from"]: row for row in tracks["studies"] if "rate" not in row}
-    (video,) = (row for row in tracks["studies"] if row["learned_from"] == "video")
-    (tracked,) = (
+def _tracked(tracks: Recorded, n_throws: int, noise_mm: float) -> Share:
+    """Return what tracks at 60 frames a second give of exact states."""
+    (exact,) = (row for row in tracks["studies"] if row["learned_from"] == "exact states")
+    (row,) = (
         row
         for row in tracks["studies"]
-        if row["learned_from"] == "tracks" and (row["rate"], row["noise_mm"], row["n_throws"]) == (60, 0, 500)
+        if row["learned_from"] == "tracks"
+        and (row["rate"], row["noise_mm"], row["n_throws"]) == (60, noise_mm, n_throws)
     )
-    return {
-        "exact": share_of(tracked, by_source["exact states"]),
-        "video": share_of(video, by_source["exact states of filmed throws"]),
-    }
+    return share_of(row, exact)
+
+
+def _shares_of_exact_states(tracks: Recorded) -> dict[str, Share]:
+    """Return what tracks at 60 frames a second without noise, and the synthetic video, give of exact states."""
+    by_source = {row["learned_from"]: row for row in tracks["studies"]}
+    video = share_of(by_source["video"], by_source["exact states of filmed throws"])
+    return {"exact": _tracked(tracks, 500, 0), "video": video}
 
 
 def shares_of_exact_states(tracks: Recorded) -> dict[str, str]:
@@ -345,6 +349,22 @@ def intervals_contain_one(tracks: Recorded) -> bool:
     """Whether neither share differs from that of exact states, nor rules out the loss of a fifth."""
     found = _shares_of_exact_states(tracks).values()
     return all(share.low < 0.85 and share.high > 1 for share in found)
+
+
+def _fewer_and_noisier(tracks: Recorded) -> dict[str, Share]:
+    rows = {"noisy": (500, 0.3), "noisiest": (500, 2.0), "fewer": (250, 0.3), "fewest": (100, 0.3)}
+    return {name: _tracked(tracks, *row) for name, row in rows.items()}
+
+
+def shares_of_fewer_and_noisier(tracks: Recorded) -> dict[str, str]:
+    """Return what noise and fewer throws leave of exact states, in percent."""
+    return {name: percent(found.value) for name, found in _fewer_and_noisier(tracks).items()}
+
+
+def only_few_throws_differ(tracks: Recorded) -> bool:
+    """Whether of these only the fewest throws differ from exact states beyond chance."""
+    found = _fewer_and_noisier(tracks)
+    return [name for name, share in found.items() if not share.low < 1 < share.high] == ["fewest"]
 
 
 def throws_matter_most(studies: Recorded) -> bool:
