@@ -6,6 +6,7 @@ attempt has its own generator, seeded by ``--seed``, the test and the attempt's 
 reproduced with the seed that the table at the end shows.
 """
 
+import gc
 import os
 import secrets
 import shutil
@@ -244,6 +245,7 @@ def pytest_configure(config: pytest.Config) -> None:
         end=time.monotonic() + 60 * config.getoption("--minutes"),
     )
     write_to_memory()
+    gc.set_threshold(20_000)  # as in pipeline/__main__.py
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -263,6 +265,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return next((fixture for fixture, files in TOGETHER.items() if file.endswith(files)), file)
 
     return ByFixture(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()  # modules and tests stay: a collection need not look at a million objects each time
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
