@@ -149,7 +149,8 @@ def test_a_medium_to_evolve_in(copy):
 def test_a_medium_to_learn_and_to_transfer_to(copy):
     (copy / "tasks/world/tar.py").write_text(TAR)
     change(copy, LEARN_TAR)
-    assert run(copy, STUDY) == []
+    settings = STUDY.replace("depths: [1.0],", "depths: [1.0], environments: [true_slush, residual_slush],", 1)
+    assert run(copy, settings) == []
     (throws,) = (copy / "out" / "collect").glob("*/transitions.parquet")
     residual = np.stack(polars.read_parquet(throws)["residual"].to_numpy())
     pulled = np.isclose(residual[:, 3], PULL * TIME_STEP, rtol=1e-4)

@@ -66,11 +66,6 @@ def run(tmp_path):
     return run
 
 
-def test_processes_that_start_together_compile_once(run):
-    result, n_compiled = run(10, others=3)
-    assert result[0] == "20.0" and n_compiled == 1
-
-
 def doubled(x):
     return 2 * x
 
@@ -140,20 +135,18 @@ def test_a_kernel_that_can_be_neither_read_nor_kept_is_compiled_every_time(compi
         assert "can't be read" in said and "compiling" in said and "could not be kept" in said
 
 
-def test_an_edit_of_a_module_that_a_kernel_calls_is_not_served_from_the_cache(run):
-    assert run(10) == (["20.0", "False"], 1)
-    assert run(10) == (["20.0", "True"], 0)
-    assert run(30) == (["60.0", "False"], 1)
-    assert run(10) == (["20.0", "True"], 0)
-    assert run(10, "whole") == (["20", "True"], 1)  # for other arguments it is compiled again, and says so
+def test_processes_share_a_kernel_until_a_module_that_it_calls_is_edited(run):
+    """Those that start together compile it once, and copies elsewhere take it too.
 
-
-def test_a_copy_elsewhere_takes_the_same_kernel(run):
-    """As on a cluster, where Ray unpacks the sources into a folder of each session."""
-    assert run(10) == (["20.0", "False"], 1)
+    On a cluster Ray unpacks the sources into a folder of each session.
+    """
+    result, n_compiled = run(10, others=3)
+    assert result[0] == "20.0" and n_compiled == 1
     assert run(10, folder="elsewhere") == (["20.0", "True"], 0)
     assert run(30, folder="elsewhere") == (["60.0", "False"], 1)
-    assert run(10, folder="elsewhere") == (["20.0", "True"], 0)
+    assert run(30) == (["60.0", "True"], 0)
+    assert run(10) == (["20.0", "True"], 0)
+    assert run(10, "whole") == (["20", "True"], 1)  # for other arguments it is compiled again, and says so
 
 
 def test_a_closure_is_no_kernel():

@@ -133,14 +133,17 @@ def wait_for(found: Callable[[], object], place: Path, seconds: float = 30.0) ->
 
 @pytest.mark.timeout(600)
 def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(place):
-    """The one test with real Ray: it takes as long as two Ray nodes and a driver need to start, half a minute."""
+    """The one test with real Ray: it takes as long as two Ray nodes and a driver need to start, half a minute.
+
+    The study ends with evolution: that the script runs a whole one is seen with the stand-in for `puddle` below.
+    """
     write(place, puddle=f'#!/bin/sh\nexec {sys.executable} -m pipeline "$@"\n')  # this checkout's
     (place / "tiny.yaml").write_text(ON_DRY_LAND)
     ((option, small),) = SMALL_MEMORY.items()
     number = int.from_bytes(os.urandom(3))
     script = place / "slurm.sbatch"
-    script.write_text(SCRIPT.read_text().replace(option, small))
-    assert small in script.read_text()
+    script.write_text(SCRIPT.read_text().replace(option, small).replace("puddle study", "puddle evolve"))
+    assert small in script.read_text() and "puddle evolve" in script.read_text()
     with submitted(place, "--settings", "tiny.yaml", "--store", "store", number=number, script=script) as job:
         wait_for(lambda: job.process.poll() is not None, place, 500)
         said = (place / "job.log").read_text()
@@ -151,7 +154,7 @@ def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(place):
     first, other = (place / "srun.log").read_text().splitlines()
     assert "--nodes=1 " in first and "--nodelist=" in first and "--nodes=1 " in other and "--exclude=" in other
     store = Store.open(place / "store", create=False)
-    assert any("  report/" in line for line in digest_lines(parse(Settings, ON_DRY_LAND, name="tiny"), store))
+    assert any("  evolve/" in line for line in digest_lines(parse(Settings, ON_DRY_LAND, name="tiny"), store))
 
 
 def test_the_exit_code_is_that_of_the_study_and_the_steps_end(place):
