@@ -116,9 +116,9 @@ def run(copy: Path, settings: str) -> list[str]:
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """A copy of the sources."""
+    """A copy of the sources, and of what Python has compiled them to."""
     for package in ("tasks", "pipeline"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / package, tmp_path / package)
     return tmp_path
 
 

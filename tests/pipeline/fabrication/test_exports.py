@@ -200,12 +200,6 @@ def drawn(kit, monkeypatch, n_faults: int = 0) -> tuple[str, list[Labels]]:
     return text_of(assembly_drawing.assembly_drawing(kit, "Drawn", n_faults)["svg"]), views
 
 
-def test_the_drawing_states_the_number_of_faults(kit, files, monkeypatch):
-    assert "11 faults found" in drawn(kit, monkeypatch, 11)[0]
-    assert "1 fault found" in drawn(kit, monkeypatch, 1)[0]
-    assert "fault" not in text_of(files["drawing.svg"])
-
-
 def test_joints_on_one_axis_have_no_distance_to_draw(kit, monkeypatch):
     first, second = kit.servo_joints
     moved = replace(second, joint=replace(second.joint, at=(first.joint.at[0] + 1e-14, first.joint.at[1])))
@@ -215,11 +209,12 @@ def test_joints_on_one_axis_have_no_distance_to_draw(kit, monkeypatch):
     assert " 0.0 " not in text and "joint 2" in text and "joint 4" in text
 
 
-def test_no_label_lies_on_another(kit, monkeypatch):
+def test_a_drawing_states_the_number_of_faults_and_no_label_lies_on_another(kit, files, monkeypatch):
+    assert "fault" not in text_of(files["drawing.svg"])
     crowded = build_kit(read_design(Path(__file__).parents[3] / "docs/design.json"), KitSettings())  # five parts
-    for robot in (kit, crowded):
-        _, views = drawn(robot, monkeypatch)
-        assert len(views) == 2
+    for robot, n_faults, stated in ((kit, 1, "1 fault found"), (crowded, 11, "11 faults found")):
+        text, views = drawn(robot, monkeypatch, n_faults)
+        assert stated in text and len(views) == 2
         n_rods, n_joints = sum(map(len, robot.layers.rods)), len(robot.servo_joints)
         assert len(views[0].boxes) >= n_rods + n_joints + len(robot.mechanism.bodies) + 2
         for labels in views:
