@@ -46,6 +46,8 @@ work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
 
 ENDLESS = ("--set", "evolution.n_generations=1000000", "--set", "grid.environments=[dry_land]")
 """Options for a study that needs no networks, evolves at once and does not end by itself."""
+WITHOUT_MLFLOW = ("--tracking-uri", "http://127.0.0.1:1")
+"""Options for a driver that finds no MLflow server, and so need not import MLflow: three core-seconds."""
 
 
 @dataclass
@@ -144,14 +146,16 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
     """All processes end within 5 s, or 15 s after a kill -9: at work, and at any moment while Ray starts.
 
     `make test` tries SIGINT and SIGKILL alone, at work: SIGTERM and SIGHUP have the handler of SIGINT
-    (tests/pipeline/cluster/test_process.py), and the next test kills a driver while Ray starts.
+    (tests/pipeline/cluster/test_process.py), and the next test kills a driver while Ray starts. The killed driver
+    mirrors nothing to MLflow.
     """
     if not torture.large and way in ("SIGTERM", "closed terminal"):
         pytest.skip("with --torture: the handler is that of SIGINT")
     times: list[tuple[float, float]] = []
+    options = WITHOUT_MLFLOW if way == "SIGKILL" and not torture.large else ()
     for number, rng in enumerate(torture.attempts(1, 40)):
         folder = tmp_path / str(number)
-        with driver(folder, *ENDLESS, "--workers", "1", terminal=way == "closed terminal") as one:
+        with driver(folder, *ENDLESS, *options, "--workers", "1", terminal=way == "closed terminal") as one:
             if number == 0:
                 wait_for(lambda folder=folder: list(folder.glob("store/items/evolve/*/*/manifest.json")))
             time.sleep(rng.uniform(0.0, 1.0 if number == 0 else 15.0))
@@ -178,7 +182,7 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
 
 
 def test_the_next_start_removes_what_a_killed_driver_and_supervisor_left(tmp_path: Path):
-    with driver(tmp_path / "a", *ENDLESS, "--workers", "1") as one:
+    with driver(tmp_path / "a", *ENDLESS, *WITHOUT_MLFLOW, "--workers", "1") as one:
         (supervisor,) = wait_for(lambda: [p for p in one.family() if "supervisor.py" in " ".join(words_of(p))])
         (lock,) = wait_for(lambda: [p for p in sessions() if str(p.parent) in words_of(supervisor)])
         wait_for(lambda: [p for p in one.family() if "raylet" in map(os.path.basename, words_of(p)[:1])])
@@ -225,10 +229,10 @@ def wait_for(find):
 
 
 def test_a_second_driver_is_refused_and_the_first_is_named(tmp_path: Path):
-    with driver(tmp_path, *ENDLESS, "--workers", "0") as first:
+    with driver(tmp_path, *ENDLESS, *WITHOUT_MLFLOW, "--workers", "0") as first:
         wait_for(lambda: list(tmp_path.glob("store/items/evolve/*/*/manifest.json")))
         first.process.send_signal(signal.SIGSTOP)  # it need not work while the second one starts
-        with driver(tmp_path, *ENDLESS, "--workers", "0") as second:
+        with driver(tmp_path, *ENDLESS, *WITHOUT_MLFLOW, "--workers", "0") as second:
             assert second.process.wait(60) == 2
             said = second.said()
         assert f"study tiny is driven by process {first.process.pid} on {socket.gethostname()} since 20" in said
