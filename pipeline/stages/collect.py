@@ -65,7 +65,7 @@ class TracksSpec:
 
     tracks: Tracks  # without the files' names
     physics: Physics
-    method: int = 2  # raised when other transitions are made of the same tracks
+    method: int = 3  # raised when other transitions are made of the same tracks
 
 
 def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:

@@ -17,8 +17,10 @@ model's form, which every fluid has in common: drag grows with the square of the
 
     dv/dt = -|u| D u + b,    u = v - flow,    dω/dt = -κ |ω| ω + b_ω
 
-with D (2, 2), κ, b (3) and flow (2) functions of the bar's length, height and angle, as small networks, and a network
-of the whole state beside them for what this misses. Half a turn makes no difference to a bar.
+with D = M Mᵀ (2, 2), κ, b (3) and flow (2) functions of the bar's length, height and angle, as small networks, and a
+network of the whole state beside them for what this misses. As D has no negative eigenvalue, drag only slows a bar
+down, and as inputs far from those of the throws count as less far, what networks add is bounded: no rollout, however
+long, grows beyond all bounds. Half a turn makes no difference to a bar.
 """
 
 from __future__ import annotations
@@ -48,6 +50,7 @@ _RELINEARISE = 100  # iterations between estimates of the starts
 _FLOOR = 0.1  # share of the residuals' deviation that poses need not resolve, as in precision_weights
 _LEAST = 1e-3  # deviation of an input or a residual that counts as a change [m, 1, m/s, rad/s]
 _ROBUST = 10.0  # mean squared residual from which a window counts less
+_FARTHEST = 5.0  # deviations from the mean beyond which an input has no more effect
 _STEP = 0.3  # of finite differences, in units of a start's uncertainty
 
 
@@ -89,14 +92,15 @@ class MediumModel(nn.Module):
             pose: (n, 3) x, y [m], angle [rad].
             velocity: (n, 3) vx, vy [m/s], ω [rad/s].
         """
-        inputs = (_inputs(length_scale, pose, velocity) - self._mean) / self._deviation
+        inputs = ((_inputs(length_scale, pose, velocity) - self._mean) / self._deviation).clamp(-_FARTHEST, _FARTHEST)
         coefficients = self.coefficients(inputs[:, :4])
-        D, kappa, b = (10 * coefficients[:, part] for part in (slice(0, 4), 4, slice(5, 8)))
+        root, kappa, b = coefficients[:, :4].reshape(-1, 2, 2), 10 * coefficients[:, 4], 10 * coefficients[:, 5:8]
+        D = 10 * root @ root.transpose(1, 2)
         u, omega = velocity[:, :2] - coefficients[:, 8:], velocity[:, 2]
-        # Implicit in the drag's mean, so that it never reverses a velocity: -k |v| v dt / (1 + k |v| dt), k = tr D / 2.
+        # Implicit in the drag's mean k = tr D / 2: no eigenvalue exceeds 2 k, so that the speed never grows.
         speed_dt = self._dt * (u.square().sum(dim=1, keepdim=True) + 1e-12).sqrt()
-        drag = torch.bmm(D.reshape(-1, 2, 2), u[:, :, None])[:, :, 0]
-        mean_drag = nn.functional.softplus((D[:, :1] + D[:, 3:]) / 2)
+        drag = torch.bmm(D, u[:, :, None])[:, :, 0]
+        mean_drag = (D[:, 0, :1] + D[:, 1, 1:]) / 2
         lost = self._dt * nn.functional.softplus(kappa) * omega.abs()
         by_drag = torch.cat(
             [-drag * speed_dt / (1 + mean_drag * speed_dt), (-omega * lost / (1 + lost))[:, None]], dim=1
