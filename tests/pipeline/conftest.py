@@ -75,7 +75,7 @@ def options(done, tmp_path) -> list[str]:
     return ["--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store")]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser(tmp_path_factory) -> Iterator[Browser]:
     if CHROMIUM is None:
         pytest.skip("no Chromium is installed")
