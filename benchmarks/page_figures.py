@@ -345,14 +345,20 @@ def shares_of_exact_states(tracks: Recorded) -> dict[str, str]:
     return {name: percent(found.value) for name, found in _shares_of_exact_states(tracks).items()}
 
 
-def intervals_contain_one(tracks: Recorded) -> bool:
-    """Whether neither share differs from that of exact states, nor rules out the loss of a fifth."""
+def no_loss_of_a_quarter(tracks: Recorded) -> bool:
+    """Whether neither share differs from that of exact states, and both rule out the loss of a quarter."""
     found = _shares_of_exact_states(tracks).values()
-    return all(share.low < 0.85 and share.high > 1 for share in found)
+    return all(0.75 < share.low < 1 < share.high for share in found)
 
 
 def _fewer_and_noisier(tracks: Recorded) -> dict[str, Share]:
-    rows = {"noisy": (500, 0.3), "noisiest": (500, 2.0), "fewer": (250, 0.3), "fewest": (100, 0.3)}
+    rows = {
+        "noisy": (500, 0.3),
+        "noisier": (500, 1.0),
+        "noisiest": (500, 2.0),
+        "fewer": (250, 0.3),
+        "fewest": (100, 0.3),
+    }
     return {name: _tracked(tracks, *row) for name, row in rows.items()}
 
 
@@ -361,10 +367,10 @@ def shares_of_fewer_and_noisier(tracks: Recorded) -> dict[str, str]:
     return {name: percent(found.value) for name, found in _fewer_and_noisier(tracks).items()}
 
 
-def only_few_throws_differ(tracks: Recorded) -> bool:
-    """Whether of these only the fewest throws differ from exact states beyond chance."""
+def only_extremes_differ(tracks: Recorded) -> bool:
+    """Whether of these only most noise and fewest throws differ from exact states beyond chance."""
     found = _fewer_and_noisier(tracks)
-    return [name for name, share in found.items() if not share.low < 1 < share.high] == ["fewest"]
+    return [name for name, share in found.items() if not share.low < 1 < share.high] == ["noisiest", "fewest"]
 
 
 def throws_matter_most(studies: Recorded) -> bool:

@@ -264,17 +264,18 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
     "docs/your-own-tank.md": (
         Sentence(
             "Tracks at 60 frames a second without noise give {exact} % of what exact states give, and those of the "
-            "synthetic video {video} %. The intervals show no loss,",
+            "synthetic video {video} %. The intervals show no loss, and rule out one of a quarter",
             (ROLLOUTS,),
             figures.shares_of_exact_states,
-            figures.intervals_contain_one,
+            figures.no_loss_of_a_quarter,
         ),
         Sentence(
-            "With 0.3 mm of noise it is {noisy} %, with 2 mm {noisiest} %, and with 250 throws in place of 500 "
-            "{fewer} %; none of these differs from exact states beyond chance. 100 throws give {fewest} %, which does.",
+            "With 0.3 mm of noise it is {noisy} %, with 1 mm {noisier} %, and with 250 throws in place of 500 "
+            "{fewer} %; none of these differs from exact states beyond chance. 2 mm of noise leave {noisiest} %, and 100 throws "
+            "{fewest} %, which do.",
             (ROLLOUTS,),
             figures.shares_of_fewer_and_noisier,
-            figures.only_few_throws_differ,
+            figures.only_extremes_differ,
         ),
         Sentence(
             "500 throws tracked at 60 frames a second with up to 1 mm of noise lose a quarter of what exact states "

@@ -85,9 +85,10 @@ def share_of(row: Mapping[str, Any], of: Mapping[str, Any]) -> Share:
     """Return a ratio of mean displacements with its 95 % interval, by linearising the ratio.
 
     Trials of one data set share its throws and networks, so their mean counts as one value, which is paired with the
-    mean of the same data set in the other row. Without data sets, trials of the same number are pairs.
+    mean of the same data set in the other row. Of one data set, trials of the same number are pairs.
     """
-    n_groups = row.get("data_sets", len(row["displacement"]))
+    n_data_sets = row.get("data_sets", 1)
+    n_groups = n_data_sets if n_data_sets > 1 else len(row["displacement"])
     ours, theirs = (np.reshape(one["displacement"], (n_groups, -1)).mean(axis=1) for one in (row, of))
     share = float(ours.mean() / theirs.mean())
     deviation = np.std((ours - share * theirs) / theirs.mean(), ddof=1) / math.sqrt(n_groups)
