@@ -271,8 +271,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "With 0.3 mm of noise it is {noisy} %, with 1 mm {noisier} %, and with 250 throws in place of 500 "
-            "{fewer} %; none of these differs from exact states beyond chance. 2 mm of noise leave {noisiest} %, and 100 throws "
-            "{fewest} %, which do.",
+            "{fewer} %; none of these differs from exact states beyond chance. 2 mm of noise leave {noisiest} "
+            "%, and 100 throws {fewest} %, which do.",
             (ROLLOUTS,),
             figures.shares_of_fewer_and_noisier,
             figures.only_extremes_differ,
