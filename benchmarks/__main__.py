@@ -55,7 +55,6 @@ def main() -> None:
         engines.two_processes,
         networks.inference,
         networks.generation,
-        networks.parts_of_a_generation,
         networks.training,
     ):
         console.print(f"[dim]{measure.__doc__}[/dim]")

@@ -17,7 +17,6 @@ from numba.extending import intrinsic
 
 from benchmarks.engines import N_ROUNDS, N_STEPS, designs
 from benchmarks.measure import Benchmark, seconds
-from tasks.design.genes import N_LINKS, concatenate
 from tasks.residual import OBSERVATION, Architecture, Training
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
@@ -26,7 +25,7 @@ from tasks.residual.observation import Observed
 from tasks.residual.torch_descent import TorchDescent
 from tasks.simulation import simulate
 from tasks.simulation.networks.tiles import N_LANES
-from tasks.world import DryLand, ResidualSlush
+from tasks.world import ResidualSlush
 
 N_MEMBERS = 8
 N_TIMED = 140
@@ -134,34 +133,6 @@ def generation() -> list[Benchmark]:
         bound = 16.0 if width == 256 else None
         figures.append(Benchmark(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", bound))
     return figures
-
-
-def parts_of_a_generation() -> list[Benchmark]:
-    """Time what a generation of the preset desk consists of: 64 designs, 4 members of 2 × 32, at 9 m.
-
-    The base simulator alone steps as many robots, one for each design and member, and the networks alone evaluate as
-    many links. What is left are the copies between the two, the start of the rollouts, and data that leave the cache.
-    """
-    n_members, depth = 4, 9.0
-    nets = ensemble(2, 32, n_members)
-    environment, dry = ResidualSlush(depth, nets), DryLand(depth)
-    generation_designs = designs()
-    robots = concatenate([generation_designs] * n_members)
-    rows = np.random.default_rng(2).normal(size=(n_members, len(generation_designs) * N_LINKS, 6)).astype(np.float32)
-    simulate(generation_designs, environment, n_settle=1, n_measure=1)
-    whole, steps, inference_alone = [], [], []
-    for _ in range(N_ROUNDS):
-        whole.append(seconds(lambda: simulate(generation_designs, environment)))
-        steps.append(seconds(lambda: simulate(robots, dry)))
-        inference_alone.append(N_STEPS * min(seconds(lambda: nets.predict(rows)) for _ in range(20)))
-    name = "a generation of desk at 9 m"
-    shares = [[100 * of / total for of, total in zip(part, whole, strict=True)] for part in (steps, inference_alone)]
-    return [
-        Benchmark(name, whole, "s"),
-        Benchmark(f"{name}: the base simulator's steps", shares[0], "%"),
-        Benchmark(f"{name}: networks", shares[1], "%"),
-        Benchmark(f"{name}: copies and the rest", [100 - sum(of) for of in zip(*shares, strict=True)], "%"),
-    ]
 
 
 def training() -> list[Benchmark]:
