@@ -224,12 +224,12 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
 def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
     """Refuse a frame, or the rest of a throw, in which a bar is elsewhere."""
     unit = metres(tracks) / length_scale_of(tracks)
-    for axes, size, words in ((slice(2), unit, tracks.length_unit), (slice(2, 3), np.pi / 180, "°")):
+    kinds = (("jumps", slice(2), unit, f" {tracks.length_unit}"), ("turns", slice(2, 3), np.pi / 180, "°"))
+    for verb, axes, size, symbol in kinds:
         for jump in _jumps(paths, axes):
-            gap = "" if words == "°" else " "
             raise TrackError(
-                f"throw {paths.throw[jump.throw]}, frame {jump.frame}: the bar "
-                f"{'turns' if words == '°' else 'jumps'} by {jump.distance / size:.3g}{gap}{words} "
+                f"throw {paths.throw[jump.throw]}, frame {jump.frame}: the bar {verb} by "
+                f"{jump.distance / size:.3g}{symbol} "
                 f"{'and back' if jump.returns else 'since the frame before, and goes on from there'}: remove frames "
                 f"that were tracked wrongly"
             )
