@@ -1,8 +1,11 @@
-"""What the number of throws, the penalty and the number of members change: `python -m benchmarks.throws_studies STORE`.
+"""What the penalty, the number of members and the number of throws change, at 9 m and laptop scale.
 
-Each variant is a study of the store at 9 m and laptop scale, with three data sets and ensembles and two trials in each.
-Writes docs/results/throws-studies.json, which docs/throws.md shows. A run that is stopped resumes. It takes an hour and
-a half on two cores.
+    python -m benchmarks.throws_studies STORE throws-studies    # the penalty and the members
+    python -m benchmarks.throws_studies STORE few-throws        # the number of throws
+
+Each variant is a study of the store, with three data sets and ensembles and two trials in each. Writes
+docs/results/throws-studies.json or few-throws.json, which docs/throws.md shows. A run that is stopped resumes. Each takes
+three quarters of an hour on two cores.
 """
 
 from __future__ import annotations
@@ -28,6 +31,10 @@ _BASE = {
     "grid.n_trials": "6",
     "replicates": str(N_REPLICATES),
     "assess.n_designs": "600",
+}
+SERIES = {
+    "throws-studies": ("penalty", "members"),
+    "few-throws": ("few throws", "few throws, magnitudes"),
 }
 _MAGNITUDES = "[a,y,cos_angle,vx,vy,omega,speed,abs_omega,abs_sin_angle]"
 
@@ -85,14 +92,15 @@ def row(variant: Variant, store: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run every study and write the file after each, so that a stopped run keeps what it has."""
-    store, rows = Path(sys.argv[1]), []
-    for variant in variants():
+    """Run every study of a file and write the file after each, so that a stopped run keeps what it has."""
+    store, file = Path(sys.argv[1]), sys.argv[2]
+    rows = []
+    for variant in (variant for variant in variants() if variant.series in SERIES[file]):
         run(variant, store)
         rows.append(row(variant, store))
         document = {"schema": "puddle.throws_studies", "version": 1, "made_with": dict(provenance()), "studies": rows}
         text = json.dumps(document, indent=1, ensure_ascii=False)
-        (RESULTS / "throws-studies.json").write_text(f"{text}\n", encoding="utf-8")
+        (RESULTS / f"{file}.json").write_text(f"{text}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
