@@ -1,4 +1,4 @@
-"""Tables of results that were measured before results files existed, and of the coverage of intervals."""
+"""Tables of measurements that are not a study's: open choices, the virtual tank, intervals, the profile of kernels."""
 
 from collections.abc import Mapping
 from itertools import groupby
@@ -71,6 +71,18 @@ def intervals_of_accuracy(results: Mapping[str, Any]) -> str:
         for figure in ("r", "slope"):
             rates = (_percent(row[name]) for name in (figure, f"{figure}_of_trials"))
             cells += [*rates, str(row[f"{figure}_width"])]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def kernels(results: Mapping[str, Any]) -> str:
+    """Tabulate what a generation takes, and the shares of its parts."""
+    parts = list(results["rows"][0]["shares"])
+    lines = [f"| {' | '.join(('evolved in', 'a generation', *parts, 'the rest'))} |", "|---" + "|--:" * 4 + "|"]
+    for row in results["rows"]:
+        shares = [row["shares"][part] for part in parts]
+        seconds = f"{1e3 * row['seconds']:.1f} ms"
+        cells = (row["environment"], seconds, *map(_percent, (*shares, 1 - sum(shares))))
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

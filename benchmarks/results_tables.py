@@ -280,6 +280,7 @@ TABLES = {
     "rounds": rounds,
     "members": members,
     "open-choices": recorded_tables.open_choices,
+    "kernels": recorded_tables.kernels,
     "tank": recorded_tables.tank,
     "torques": recorded_tables.torques,
     "intervals-of-means": recorded_tables.intervals_of_means,

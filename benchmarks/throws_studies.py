@@ -4,8 +4,8 @@
     python -m benchmarks.throws_studies STORE few-throws        # the number of throws
 
 Each variant is a study of the store, with three data sets and ensembles and two trials in each. Writes
-docs/results/throws-studies.json or few-throws.json, which docs/throws.md shows. A run that is stopped resumes. Each takes
-three quarters of an hour on two cores.
+docs/results/throws-studies.json or few-throws.json, which docs/throws.md shows. A run that is stopped resumes. Each
+takes three quarters of an hour on two cores.
 """
 
 from __future__ import annotations
@@ -32,10 +32,7 @@ _BASE = {
     "replicates": str(N_REPLICATES),
     "assess.n_designs": "600",
 }
-SERIES = {
-    "throws-studies": ("penalty", "members"),
-    "few-throws": ("few throws", "few throws, magnitudes"),
-}
+SERIES = {"throws-studies": ("penalty", "members"), "few-throws": ("few throws", "few throws, magnitudes")}
 _MAGNITUDES = "[a,y,cos_angle,vx,vy,omega,speed,abs_omega,abs_sin_angle]"
 
 

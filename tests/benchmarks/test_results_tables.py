@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.recorded_tables import kernels
 from benchmarks.results_tables import comparison, few_throws, made_with, members, rounds, t_tests, transfer, variance
 from benchmarks.tracks_tables import share_of
 
@@ -119,3 +120,12 @@ def test_rounds_are_means_over_data_sets():
 )
 def test_pages_say_what_results_were_made_with(made, words):
     assert made_with({"made_with": made}) == words
+
+
+def test_what_no_kernel_takes_is_the_rest_of_a_generation():
+    row = {"environment": "Dry Land", "seconds": 0.0104, "shares": {"base simulator": 0.75, "networks": 0.0}}
+    assert kernels({"rows": [row]}).splitlines() == [
+        "| evolved in | a generation | base simulator | networks | the rest |",
+        "|---|--:|--:|--:|--:|",
+        "| Dry Land | 10.4 ms | 75 % | 0 % | 25 % |",
+    ]
