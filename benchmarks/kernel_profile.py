@@ -31,7 +31,7 @@ from tasks.simulation.networks.inference import run_networks
 from tasks.simulation.trees import groups
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
 
-SHAPES = ((2, 32), (2, 48), (3, 64))
+PROFILED_SHAPES = ((2, 32), (2, 48), (3, 64))
 N_MEMBERS, N_DESIGNS, DEPTH = 4, 64, 9.0
 _N_GENERATIONS = 100
 """Generations of a segment, after which it is encoded as a work item of a study is."""
@@ -46,7 +46,7 @@ def environments() -> dict[str, Environment]:
     throws = Throws(design="robots", n_throws=3400, n_steps=29)
     transitions = simulate_throws(initial_states(throws, generator(1, "throws")), 29, Slush(), Physics())
     found: dict[str, Environment] = {"True Slush": TrueSlush(DEPTH), "Dry Land": DryLand(DEPTH)}
-    for layers, width in SHAPES:
+    for layers, width in PROFILED_SHAPES:
         architecture = Architecture(hidden_layers=layers, width=width, dropout=0.0)
         members = [train_member(transitions, architecture, _TRAINING, seed=1, member=k) for k in range(N_MEMBERS)]
         ensemble = Ensemble.from_members([member.arrays() for member in members])

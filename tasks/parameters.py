@@ -20,12 +20,20 @@ class Parameters(BaseModel):
     )
 
 
-def later_choice(default: Any) -> Any:
+def later_choice(default: Any, *, gt: float | None = None, le: float | None = None) -> Any:
     """Declare a field that results were computed without.
 
     JSON omits it where it has its default, so the keys of those results stay as they are.
+
+    Args:
+        default: its value in those results.
+        gt: what a value must be greater than.
+        le: greatest value.
+
+    Returns:
+        What pydantic takes as the field's default.
     """
-    return Field(default=default, exclude_if=lambda value: value == default)
+    return Field(default=default, exclude_if=lambda value: value == default, gt=gt, le=le)
 
 
 @dataclass(frozen=True, eq=False)

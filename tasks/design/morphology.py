@@ -1,14 +1,14 @@
-"""Morphology: constraints on a body so that it can be built. Paper, "Manufacturing".
+"""Morphology: constraints on a design so that it can be built. Paper, "Manufacturing".
 
-The main experiments do not constrain bodies. The robot that was built had two motors, and none of its links overlapped
+The main experiments do not constrain designs. The robot that was built had two motors, and none of its links overlapped
 another at rest unless a joint connected them. The operators of variation produce the right number of motors directly.
-Overlap is avoided by rejection sampling (:func:`sample_without_overlap`), which preserves an operator's distribution
+The other constraints hold by rejection sampling (:func:`sample_allowed`), which preserves an operator's distribution
 over the allowed designs; moving links apart would favour the positions that they are moved to.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -16,11 +16,12 @@ from pydantic import Field
 from tasks.arrays import Bools, Float64, Int64
 from tasks.design.body import rest_pose
 from tasks.design.genes import N_LINKS, DesignError, Designs, DesignTable
-from tasks.parameters import Parameters
+from tasks.parameters import Parameters, later_choice
 
 _TOLERANCE = 1e-9  # overlap that counts as touching [m]: the rounding of positions within some metres
 
 MAX_DRAWS = 1 << 17  # most samples of a design: about 1,100 are rejected per random design, all once in 10^50
+N_INSTANTS = 24  # of a gait's period in which links must be apart
 MAX_BATCH = 4096  # most samples that are drawn together; more overflow the cache
 
 
@@ -30,8 +31,37 @@ class Morphology(Parameters):
     n_actuated: int | None = Field(default=None, ge=0, le=N_LINKS - 1)
     """Number of joints whose motor is on; which joints is then part of the body, not of the controller. null: each
     motor is on or off, as part of the controller. [P]: 2 in the robot that was built."""
-    unjoined_links: Literal["may_overlap", "apart"] = "may_overlap"
-    """Whether links that no joint connects may overlap at rest. [P]: apart in the robot that was built."""
+    unjoined_links: Literal["may_overlap", "apart", "apart_in_gait"] = "may_overlap"
+    """Whether links that no joint connects may overlap, or are apart at rest, or also while the motors follow the
+    controller. [P]: apart in the robot that was built."""
+    max_joint_speed: float | None = later_choice(None, gt=0.0, le=1e6)
+    """[rad/s]. Highest speed at which a controller may swing a joint, 2π times frequency and range of motion; null: no
+    limit."""
+
+    @property
+    def constrains_gaits(self) -> bool:
+        """Whether a body may have controllers that are not allowed."""
+        return self.unjoined_links == "apart_in_gait" or self.max_joint_speed is not None
+
+    @property
+    def rejects(self) -> bool:
+        """Whether operators of variation may draw designs that are not allowed."""
+        return self.unjoined_links != "may_overlap" or self.constrains_gaits
+
+    def of_controllers(self) -> Self:
+        """Return the constraints that are left where an allowed body does not vary."""
+        return self if self.constrains_gaits else type(self)()
+
+    def allows(self, designs: Designs) -> Bools:
+        """Find the designs that meet all constraints but the number of motors, (n_designs,)."""
+        allowed = np.ones(len(designs), dtype=bool)
+        if self.max_joint_speed is not None:
+            allowed &= joint_speed(designs).max(axis=1) <= self.max_joint_speed
+        if self.unjoined_links != "may_overlap":
+            allowed[allowed] = links_apart(designs[allowed])
+        if self.unjoined_links == "apart_in_gait":
+            allowed[allowed] = apart_in_gait(designs[allowed])
+        return allowed
 
 
 ANY_BODY = Morphology()  # no constraints
@@ -71,6 +101,28 @@ def links_apart(designs: Designs) -> Bools:
     return apart
 
 
+def joint_speed(designs: Designs) -> Float64:
+    """Compute the highest speed at which controllers swing joints, 2π f A; (n_designs, n_links) [rad/s].
+
+    It is 0 where there is no motor.
+    """
+    return np.where(designs.motor_on, 2 * np.pi * designs.frequency[:, None] * designs.motion_range, 0.0)
+
+
+def apart_in_gait(designs: Designs) -> Bools:
+    """Find the designs whose unconnected links do not overlap while joints follow the controller; (n_designs,).
+
+    Joints with a motor have their target angles, with the range of motion as amplitude; the others are at rest. Gaits
+    are looked at in N_INSTANTS instants of a period.
+    """
+    n = len(designs)
+    each = designs[np.repeat(np.arange(n), N_INSTANTS)]
+    time = np.tile(np.arange(N_INSTANTS) / N_INSTANTS, n)[:, None]  # [periods]
+    swing = np.where(each.motor_on, each.motion_range * np.sin(2 * np.pi * time + each.phase), 0.0)
+    apart: Bools = links_apart(replace(each, rest_angle=each.rest_angle + swing)).reshape(n, N_INSTANTS).all(axis=1)
+    return apart
+
+
 def separation(one: Float64, other: Float64) -> Float64:
     """Compute the largest gap between two rectangles along an edge of either; negative where they overlap; (n,) [m].
 
@@ -90,20 +142,22 @@ def separation(one: Float64, other: Float64) -> Float64:
     return gap
 
 
-def sample_without_overlap(
+def sample_allowed(
     first: DesignTable,
     draw: Callable[[Int64], DesignTable],
+    morphology: Morphology,
     *,
     max_draws: int = MAX_DRAWS,
     otherwise: DesignTable | None = None,
 ) -> Drawn:
-    """Return designs, sampled until none has unconnected links that overlap.
+    """Return designs, sampled until the morphology allows all of them.
 
-    In each round every remaining design gets twice as many samples as before; the first that is apart is accepted.
+    In each round every remaining design gets twice as many samples as before; the first that is allowed is accepted.
 
     Args:
         first: (n_designs, N_COLUMNS) first sample of each design.
         draw: returns a sample for each index that it is given; an index may be repeated.
+        morphology: constraints on designs.
         max_draws: most samples per design.
         otherwise: (n_designs, N_COLUMNS) designs to return after that many rejections.
 
@@ -113,13 +167,13 @@ def sample_without_overlap(
     n_designs = len(first)
     n_draws = np.ones(n_designs, dtype=np.int64)
     found, place = [first], np.arange(n_designs)
-    waiting = np.flatnonzero(~links_apart(Designs.from_table(first)))
+    waiting = np.flatnonzero(~morphology.allows(Designs.from_table(first)))
     n_found, n_drawn, each = n_designs, 1, 1
     while waiting.size and n_drawn < max_draws:
         each = max(1, min(2 * each, MAX_BATCH // waiting.size, max_draws - n_drawn))
         drawn = draw(np.repeat(waiting, each))
-        apart = links_apart(Designs.from_table(drawn)).reshape(waiting.size, each)
-        lucky, chosen = apart.any(axis=1), apart.argmax(axis=1)
+        allowed = morphology.allows(Designs.from_table(drawn)).reshape(waiting.size, each)
+        lucky, chosen = allowed.any(axis=1), allowed.argmax(axis=1)
         n_draws[waiting] += np.where(lucky, chosen + 1, each)
         found.append(drawn[(np.arange(waiting.size) * each + chosen)[lucky]])
         place[waiting[lucky]] = n_found + np.arange(lucky.sum())
@@ -127,8 +181,8 @@ def sample_without_overlap(
     if waiting.size:
         if otherwise is None:
             raise DesignError(
-                f"design {waiting[0]}: links that no joint connects overlap at rest in all {n_drawn} samples, "
-                "expected one in which they are apart"
+                f"design {waiting[0]}: none of {n_drawn} samples is allowed where unjoined_links is "
+                f"{morphology.unjoined_links} and max_joint_speed is {morphology.max_joint_speed}, expected one"
             )
         n_draws[waiting] += 1
         found.append(otherwise[waiting])

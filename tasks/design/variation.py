@@ -19,7 +19,7 @@ from tasks.arrays import Int64
 from tasks.compiled import compiled
 from tasks.design import variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
-from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, sample_without_overlap
+from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, sample_allowed
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
 from tasks.parameters import Parameters, later_choice
 
@@ -57,7 +57,7 @@ def variation_of(
     """Return the argument of the kernels that describes variation.
 
     Args:
-        morphology: constraints on bodies.
+        morphology: constraints on designs.
         mutation: rates and step size.
         parts: parts that mutation may change; ("control",) preserves bodies.
         body: one design whose body all random designs get.
@@ -86,7 +86,7 @@ def as_many_genes(mutation: Mutation, parts: tuple[GenePart, ...], morphology: M
     Args:
         mutation: rates and step size; the mean number of changed genes is of the 37 of a whole design.
         parts: parts that vary.
-        morphology: constraints on bodies, which may count motors among the body.
+        morphology: constraints on designs, which may count motors among the body.
     """
     share = len(_numbers(parts, morphology.n_actuated).column) / N_GENES
     return mutation.model_copy(update={"genes_changed": min(mutation.genes_changed / share, N_GENES)})
@@ -120,14 +120,14 @@ def _numbers(parts: tuple[GenePart, ...], n_actuated: int | None) -> Numbers:
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """The operators on tables of designs, with rejection sampling where unconnected links must not overlap.
+    """The operators on tables of designs, with rejection sampling where the morphology does not allow every design.
 
     An operator accepts the first draws, if they exist already.
     """
 
     rng: Generator
     variation: Variation
-    apart: bool  # whether a design whose unconnected links overlap is drawn anew
+    morphology: Morphology  # constraints; a design that does not meet them is drawn anew
 
     def random(self, n_designs: int, first: DesignTable | None = None) -> Drawn:
         """Draw random designs."""
@@ -151,8 +151,10 @@ class Sampler:
     def recombinations(self, parents: tuple[DesignTable, DesignTable], first: DesignTable | None = None) -> Drawn:
         """Draw one child of each pair; see :func:`crossover` about pairs without a child that is allowed."""
         one, other = parents
-        otherwise = other.copy()
-        otherwise[:, self.variation.body_columns] = one[:, self.variation.body_columns]
+        otherwise = one.copy()
+        if not self.morphology.constrains_gaits:
+            otherwise = other.copy()
+            otherwise[:, self.variation.body_columns] = one[:, self.variation.body_columns]
 
         def draw(which: Int64) -> DesignTable:
             child = one[which]
@@ -170,8 +172,8 @@ class Sampler:
         otherwise: DesignTable | None = None,
     ) -> Drawn:
         table = draw(np.arange(n_designs)) if first is None else first
-        if self.apart:
-            return sample_without_overlap(table, draw, max_draws=max_draws, otherwise=otherwise)
+        if self.morphology.rejects:
+            return sample_allowed(table, draw, self.morphology, max_draws=max_draws, otherwise=otherwise)
         return Drawn(table, np.ones(n_designs, dtype=np.int64))
 
 
@@ -186,13 +188,13 @@ def random_designs(
         n_designs: number of designs.
         rng: source of randomness.
         body: one design whose body all designs get; only controllers are drawn then.
-        morphology: constraints on bodies.
+        morphology: constraints on designs.
 
     Raises:
         DesignError: the morphology can't be satisfied.
     """
-    apart = body is None and morphology.unjoined_links == "apart"
-    return Sampler(rng, variation_of(morphology, body=body), apart).random(n_designs).designs
+    left = morphology if body is None else morphology.of_controllers()
+    return Sampler(rng, variation_of(morphology, body=body), left).random(n_designs).designs
 
 
 def mutate(
@@ -214,14 +216,14 @@ def mutate(
         rng: source of randomness.
         mutation: rates and step size.
         parts: parts that may change; ("control",) preserves bodies.
-        morphology: constraints on bodies.
+        morphology: constraints on designs.
 
     Raises:
         DesignError: no mutant of a parent is within the morphology.
     """
     variation = variation_of(morphology, mutation=mutation, parts=parts)
-    apart = "body" in parts and morphology.unjoined_links == "apart"
-    return Sampler(rng, variation, apart).mutants(designs.table).designs
+    left = morphology if "body" in parts else morphology.of_controllers()
+    return Sampler(rng, variation, left).mutants(designs.table).designs
 
 
 def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Designs:
@@ -237,8 +239,7 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
         one: n_designs designs within the morphology.
         other: n_designs designs within the morphology.
         rng: source of randomness.
-        morphology: constraints on bodies. After MAX_RECOMBINATIONS rejections a child gets the body of one and the
-            controller of the other, which the morphology always allows.
+        morphology: constraints on designs. After MAX_RECOMBINATIONS rejections a child gets the body of one and the
+            controller of the other; where gaits are constrained, it is a copy of one. Both are allowed.
     """
-    apart = morphology.unjoined_links == "apart"
-    return Sampler(rng, variation_of(morphology), apart).recombinations((one.table, other.table)).designs
+    return Sampler(rng, variation_of(morphology), morphology).recombinations((one.table, other.table)).designs

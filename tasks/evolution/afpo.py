@@ -144,7 +144,7 @@ def ask(
         rng: source of randomness.
         afpo: the algorithm's parameters.
         body: one design whose body all children get; only controllers evolve then.
-        morphology: constraints on bodies.
+        morphology: constraints on designs.
     """
     n_children, n_parents = afpo.population_size, len(population.age)
     parts: tuple[GenePart, ...] = ("body", "control") if body is None else ("control",)
@@ -178,13 +178,14 @@ def ask(
         parents=np.append(population.identity, NO_PARENT)[parent],
         n_draws=np.ones(n_children, dtype=np.int64),
     )
-    if body is None and morphology.unjoined_links == "apart":
-        _resample_overlapping(children, population.table, parent, Sampler(rng, variation, apart=True))
+    left = morphology if body is None else morphology.of_controllers()
+    if left.rejects:
+        _resample_rejected(children, population.table, parent, Sampler(rng, variation, left))
     return children
 
 
-def _resample_overlapping(children: Children, parents: DesignTable, parent: Int64, sampler: Sampler) -> None:
-    """Replace, in place, children whose links overlap by further draws of the same operator from the same parents."""
+def _resample_rejected(children: Children, parents: DesignTable, parent: Int64, sampler: Sampler) -> None:
+    """Replace, in place, children that are not allowed by further draws of the same operator from the same parents."""
     for code in range(len(OPERATORS)):
         chosen = np.flatnonzero(children.operator == code)
         drawn, (one, other) = children.table[chosen], parent[chosen].T

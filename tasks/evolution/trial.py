@@ -63,7 +63,7 @@ def evolve(
         first_generation: number of the first generation to run.
         n_generations: number of generations to run.
         afpo: the algorithm's parameters.
-        morphology: constraints on bodies.
+        morphology: constraints on designs.
 
     Raises:
         ValueError: n_generations is less than 1.

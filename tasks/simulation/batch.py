@@ -10,6 +10,7 @@ import numpy as np
 from tasks.compiled import uncompiled_kernels
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
+from tasks.simulation.controller import fastest
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.simd.lanes import widest
@@ -46,6 +47,7 @@ def scene_of(environment: Environment, physics: Physics) -> Scene:
         friction=np.sqrt(friction * friction),
         restitution=single(physics.restitution),
         motor_gain=single(physics.motor_gain),
+        max_motor_speed=fastest(physics),
         velocity_iterations=physics.velocity_iterations,
         position_iterations=physics.position_iterations,
         n_links=N_LINKS,

@@ -1,7 +1,8 @@
 """The controller: target angle of each joint's motor in each step. Paper, "Evolutionary Design".
 
 θ*(t) = rest + A · sin(2π f t + phase), with one frequency f per robot. The amplitude A is the joint's range of motion,
-or half of it, as the setting ``physics.range_of_motion`` has it.
+or half of it, as the setting ``physics.range_of_motion`` has it. The motor's speed is gain · (θ* - θ), within the limit
+``physics.max_motor_speed``.
 
 Both engines must agree on θ* to the last bit, and platforms differ in the last bit of their sine. So the sine here is a
 polynomial in single precision. Its argument is in turns, so that whole turns are subtracted without rounding.
@@ -16,7 +17,7 @@ import numpy as np
 
 from tasks.arrays import Bools, Float32
 from tasks.design.genes import Designs
-from tasks.world.physics import RangeOfMotion
+from tasks.world.physics import Physics, RangeOfMotion
 
 TURN = 2 * np.pi  # [rad]
 
@@ -34,6 +35,11 @@ def sine_of_turns(turns: Float32) -> Float32:
     sine = folded * (c1 + square * (c3 + square * (c5 + square * (c7 + square * c9))))
     signed: Float32 = np.where(r < 0, -sine, sine).astype(np.float32)
     return signed
+
+
+def fastest(physics: Physics) -> np.float32:
+    """Return the limit of the motors' speed [rad/s]; infinite if there is none."""
+    return np.float32(np.inf if physics.max_motor_speed is None else physics.max_motor_speed)
 
 
 AMPLITUDE: Mapping[RangeOfMotion, float] = {"amplitude": 1.0, "peak_to_peak": 0.5}

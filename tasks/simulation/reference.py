@@ -18,7 +18,7 @@ from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column, Motion
-from tasks.simulation.controller import Controllers
+from tasks.simulation.controller import Controllers, fastest
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
 
@@ -227,10 +227,11 @@ def _switch_on_motors(robots: list[_Robot], controllers: Controllers) -> None:
 def _command_motors(
     robots: list[_Robot], controllers: Controllers, trees: KinematicTrees, state: Float32, step: int, physics: Physics
 ) -> None:
-    """Set the speed of each motor that is on to gain · (θ* - θ)."""
+    """Set the speed of each motor that is on to gain · (θ* - θ), within its limit."""
     angle = state[..., Column.ANGLE]
     error = controllers.target_angle(step, physics.time_step) - _relative(angle, trees)
-    speed = (np.float32(physics.motor_gain) * error).reshape(len(robots), N_LINKS).tolist()
+    limit = fastest(physics)
+    speed = np.clip(np.float32(physics.motor_gain) * error, -limit, limit).reshape(len(robots), N_LINKS).tolist()
     on = np.broadcast_to(controllers.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
     for robot, speeds, flags in zip(robots, speed, on, strict=True):
         for link, joint in robot.joints.items():

@@ -35,6 +35,8 @@ class Physics(Parameters):
     """[1/s]. A motor's speed is the gain times the joint's angular error."""
     max_motor_torque: float = Field(default=100.0, ge=0.0, le=1e9)
     """[N·m]. [P]; the robot that was built had 30."""
+    max_motor_speed: float | None = later_choice(None, gt=0.0, le=1e6)
+    """[rad/s]. Fastest that a motor turns its joint; null: no limit. Other forces may turn the joint faster."""
     passive_joints: PassiveJoints = "swing"
     """A joint whose motor is off swings freely, or is locked at its rest angle, which fuses its links to a rigid body.
     [P]: locked in the robot that was built."""

@@ -23,6 +23,7 @@ PHYSICS: dict[str, dict[str, Any]] = {
     "motors that start after settling": {"motors_while_settling": False},
     "limits, motors that start after settling": {**LIMITED, "motors_while_settling": False},
     "root at the surface": {"spawn": "root_centre"},
+    "slow motors": {"max_motor_speed": 0.4},
 }
 SLUSHES: dict[str, dict[str, Any]] = {
     "by component": {"drag": "by_component"},

@@ -63,13 +63,13 @@ def _submerge(robot: RobotRecord, scene: Scene) -> None:
 
 
 @inline
-def _command_motors(robot: RobotRecord, time: float32, gain: float32) -> None:
+def _command_motors(robot: RobotRecord, time: float32, scene: Scene) -> None:
     """Set the motors' speeds by the controller."""
     for j in range(robot.n_joints):
         joint = robot.joints[j]
         joint_angle = robot.links[joint.child].angle - robot.links[joint.parent].angle
         turns = robot.frequency * time + joint.phase_turns
-        joint.motor_speed = motor_speed(turns, joint.rest_angle, joint.amplitude, joint_angle, gain)
+        joint.motor_speed = motor_speed(turns, joint.rest_angle, joint.amplitude, joint_angle, scene)
 
 
 @inline
@@ -94,7 +94,7 @@ def _synchronize_fixtures(robot: RobotRecord, scene: Scene) -> None:
 @inline
 def _begin_step(robot: RobotRecord, scene: Scene, step: int) -> None:
     """Run the motors and the slush, collide, and prepare the island."""
-    _command_motors(robot, float32(step) * scene.dt, scene.motor_gain)
+    _command_motors(robot, float32(step) * scene.dt, scene)
     if scene.slush:
         _submerge(robot, scene)
     _push(robot, scene)

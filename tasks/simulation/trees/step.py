@@ -41,6 +41,7 @@ class Scene(NamedTuple):
     friction: np.float32
     restitution: np.float32
     motor_gain: np.float32  # [1/s]
+    max_motor_speed: np.float32  # [rad/s]; infinite without a limit
     velocity_iterations: int
     position_iterations: int
     n_links: int  # always 6, but known at run time only: otherwise loops are unrolled and outgrow the instruction cache
@@ -55,32 +56,34 @@ class Scene(NamedTuple):
 
 
 @inline
-def motor_speed(
-    turns: Numeric, rest_angle: Numeric, amplitude: Numeric, joint_angle: Numeric, gain: np.float32
-) -> Numeric:
-    """Return the motor speed gain · (θ* - θ) of lanes or numbers [rad/s]; see tasks/simulation/controller.py.
+def motor_speed(turns: Numeric, rest_angle: Numeric, amplitude: Numeric, joint_angle: Numeric, scene: Scene) -> Numeric:
+    """Return the motor speed gain · (θ* - θ), within its limit, of lanes or numbers [rad/s]; as in controller.py.
 
     Args:
         turns: phase at the present time [turns].
         rest_angle: rest angle [rad].
         amplitude: amplitude [rad].
         joint_angle: angle θ of the joint [rad].
-        gain: motor gain [1/s].
+        scene: gain and limit.
     """
     r = turns - floor(turns + _HALF)
     folded = _QUARTER - abs(abs(r) - _QUARTER)
     square = folded * folded
     sine = folded * (_C1 + square * (_C3 + square * (_C5 + square * (_C7 + square * _C9))))
     target = rest_angle + amplitude * select(r < 0.0, -sine, sine)
-    return gain * (target - joint_angle)
+    wanted, limit = scene.motor_gain * (target - joint_angle), scene.max_motor_speed
+    below = select(wanted > limit, limit, wanted)
+    return select(below < -limit, -limit, below)
 
 
 @inline
-def _command_motor(block: Block, j: int, time: np.float32, gain: np.float32) -> None:
+def _command_motor(block: Block, j: int, time: np.float32, scene: Scene) -> None:
     parent = block[at.PARENT + j]
     joint_angle = block[at.ANGLE + j + 1] - of_parent(from_row(block, at.ANGLE), parent, j)
     turns = block[at.FREQUENCY] * time + block[at.PHASE + j]
-    block[at.MOTOR_SPEED + j] = motor_speed(turns, block[at.REST_ANGLE + j], block[at.AMPLITUDE + j], joint_angle, gain)
+    block[at.MOTOR_SPEED + j] = motor_speed(
+        turns, block[at.REST_ANGLE + j], block[at.AMPLITUDE + j], joint_angle, scene
+    )
 
 
 @inline
@@ -284,11 +287,11 @@ def _solve_positions(block: Block, scene: Scene, touching: int) -> None:
 def _push_links(block: Block, scene: Scene, step: int) -> None:
     """Command the motors, and change the links' velocities by slush and gravity."""
     time = np.float32(step) * scene.dt
-    _command_motor(block, 0, time, scene.motor_gain)
-    _command_motor(block, 1, time, scene.motor_gain)
-    _command_motor(block, 2, time, scene.motor_gain)
-    _command_motor(block, 3, time, scene.motor_gain)
-    _command_motor(block, 4, time, scene.motor_gain)
+    _command_motor(block, 0, time, scene)
+    _command_motor(block, 1, time, scene)
+    _command_motor(block, 2, time, scene)
+    _command_motor(block, 3, time, scene)
+    _command_motor(block, 4, time, scene)
     for link in range(scene.n_links):
         if scene.slush:
             _submerge(block, link, scene)

@@ -23,13 +23,15 @@ from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm
 from tasks.analysis.tank import Tank
-from tasks.design import Designs, links_apart
+from tasks.design import Designs
 from tasks.evolution import OPERATORS
 from tasks.fabrication.kit_settings import KitSettings
+from tasks.fabrication.servos import SERVOS
+from tasks.world.physics import froude_time
 
 SMALL = (
-    "throws.n_throws=6",
-    "throws.n_steps=20",
+    "designed_throws.n_throws=6",
+    "designed_throws.n_steps=20",
     "network.hidden_layers=1",
     "network.width=4",
     "training.n_iterations=20",
@@ -41,14 +43,14 @@ SMALL = (
     "evolution.n_generations=3",
     "evolution.afpo.population_size=6",
     "work.generations_per_item=2",
-    "transfer.adapted_environments=[residual_slush]",
+    "transfer.adapted_environments=[designed_throws]",
     "transfer.n_generations=2",
     "tank.seconds=0.5",
     "work.engine=reference",
 )
 """Overrides as a user would write them. The adaptation shows that motors are kept; the reference engine compiles
 nothing."""
-ARM = "residual_slush/2m"
+ARM = "designed_throws/2m"
 
 
 @pytest.fixture(scope="module")
@@ -68,21 +70,25 @@ def built(pontoon, tmp_path_factory):
 @pytest.fixture(scope="module")
 def tank(built):
     store, upstream = built
-    (done,) = upstream["analyse"].done[PartId(TANK, Arm("residual_slush", 2.0))]
+    (done,) = upstream["analyse"].done[PartId(TANK, Arm("designed_throws", 2.0))]
     return read_table({name: store.read(done, name) for name in done.files}, "tank")
 
 
-def test_the_preset_is_what_the_paper_built():
+def test_the_preset_is_what_the_paper_built_within_what_servos_give():
     settings = load(Settings, preset_path("pontoon"))
-    assert settings.grid.trials() == [("residual_slush", 2.0, trial) for trial in range(16)]
+    assert settings.grid.trials() == [("designed_throws", 2.0, trial) for trial in range(16)]
     assert (settings.rollout.n_settle, settings.rollout.n_measure) == (1000, 5000)
     physics, morphology = settings.physics, settings.evolution.morphology
     assert (physics.max_motor_torque, physics.passive_joints, physics.link_collisions) == (30, "locked", True)
-    assert (morphology.n_actuated, morphology.unjoined_links) == (2, "apart")
+    assert (morphology.n_actuated, morphology.unjoined_links) == (2, "apart_in_gait")
     tank = settings.tank
     assert (tank.length, tank.depth, tank.scale, tank.seconds) == (1.17, 0.15, 0.07, 150)
     assert (tank.width, tank.height, tank.pontoon_pitch, tank.pontoon_thickness) == (0.33, 0.27, 0.3, 0.025)
     kit = KitSettings()
+    servo, frequency = SERVOS[kit.servo], 1 / froude_time(tank.scale)  # of the bench, per frequency of the simulation
+    torque = physics.max_motor_torque / tank.simulated_servo_torque(physics.link_density)
+    assert morphology.max_joint_speed == physics.max_motor_speed
+    assert 0.5 < torque + physics.max_motor_speed * frequency / servo.no_load_speed_rad_s < 1 / 1.3
     assert (kit.pitch_mm, kit.thickness_mm) == (1000 * tank.pontoon_pitch, 1000 * tank.pontoon_thickness)
 
 
@@ -97,7 +103,7 @@ def test_a_tank_needs_a_step_of_settling():
     assert parse(Settings, "rollout: {n_settle: 0}", name="mine").tank is None
 
 
-def test_everything_that_evolves_can_be_built(built):
+def test_everything_that_evolves_can_be_built(pontoon, built):
     store, upstream = built
     for stage in ("evolve", "transfer"):
         for label, segments in labelled(upstream[stage].done).items():
@@ -108,7 +114,7 @@ def test_everything_that_evolves_can_be_built(built):
                     store.read(segment, "history.parquet"), schema="history", version=1, source=label
                 )
                 designs = Designs.from_arrays(history)
-                assert links_apart(designs).all()
+                assert pontoon.evolution.morphology.allows(designs).all()
                 assert (designs.motor_on.sum(axis=1) == 2).all()
 
 
@@ -182,16 +188,16 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     page = summary.artifacts[PAGE].decode()
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     assert f"✓ trial {trial}" in text
-    assert "Residual Slush, 2 m: 0 of 3 cross the tank, 0 the dry floor, 0 with the servo’s torque" in text
+    assert "Designed throws, 2 m: 0 of 3 cross the tank, 0 the dry floor, 0 with the servo’s torque" in text
     beside_paper = "8 of 8 trials in simulation 0 of 8 trials by Froude’s law, 0 of 8 at the simulation’s frequencies"
     assert beside_paper in text
     assert f"in simulation it stays in {n_immobile} of 8 trials, and in {n_with_servo} of 8 with the torque" in text
-    assert "To build: evolved in Residual Slush" in page  # its films
+    assert "To build: evolved in Residual Slush learned from designed throws" in page  # its films
     assert re.search(r"rejected and resampled: 100 % of [\d,]+ from random, \d+ % of [\d,]+ from mutation", text)
     assert "as far to the right as they can in 1 seconds" in text
     # The exported file is a design file like any other, and describes the champion itself.
     (champion,) = (store.read(labelled(upstream["transfer"].done)[f"{ARM}/trial-{trial}"][-1], "champion.json"),)
-    written = store.root / "studies" / "pontoon" / "report" / "proposed-residual_slush-2m.json"
+    written = store.root / "studies" / "pontoon" / "report" / "proposed-designed_throws-2m.json"
     assert str(written) == path
     assert written.read_bytes() == champion
     design_from(json.loads(champion), "proposed")

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tasks.design import DesignError, Designs, Morphology, links_apart, random_designs, rest_pose
-from tasks.design.morphology import MAX_BATCH, sample_without_overlap
+from tasks.design.morphology import MAX_BATCH, N_INSTANTS, apart_in_gait, joint_speed, sample_allowed
+
+APART = Morphology(unjoined_links="apart")
 
 
 def rectangles(designs: Designs, design: int) -> list[shapely.Polygon]:
@@ -45,6 +47,44 @@ def test_links_are_apart_where_a_polygon_clipper_finds_no_common_area(seed: int)
         for design, apart in enumerate(links_apart(some)):
             overlap = clipped_overlap(some, design)
             assert apart == (overlap == 0) or overlap < 1e-12  # of a hair's breadth both may be said
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**63 - 1))
+def test_gaits_are_apart_where_a_polygon_clipper_finds_no_common_area_at_any_instant(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    drawn = random_designs(12, rng)
+    designs = replace(  # nearly straight chains that swing little, of which some meet and some do not
+        drawn,
+        parent=np.tile(np.arange(-1, 5), (12, 1)),
+        parent_attachment=np.ones((12, 6)),
+        child_attachment=-np.ones((12, 6)),
+        rest_angle=drawn.rest_angle / 3,
+    )
+    period = np.arange(N_INSTANTS) / N_INSTANTS
+    for design, apart in enumerate(apart_in_gait(designs)):
+        of = designs[[design] * N_INSTANTS]
+        phase = 2 * np.pi * period[:, None] + of.phase
+        moved = replace(of, rest_angle=of.rest_angle + of.motor_on * of.motion_range * np.sin(phase))
+        overlap = max(clipped_overlap(moved, instant) for instant in range(N_INSTANTS))
+        assert apart == (overlap == 0) or overlap < 1e-12
+
+
+def test_the_speed_of_a_joint_is_the_greatest_slope_of_its_target() -> None:
+    designs = random_designs(20, np.random.default_rng(1))
+    time = np.linspace(0, 30, 30_001)[:, None, None]  # [s]
+    angle = designs.motion_range * np.sin(2 * np.pi * designs.frequency[:, None] * time + designs.phase)
+    slope = np.abs(np.diff(angle, axis=0) / np.diff(time, axis=0)).max(axis=0)
+    turns = designs.frequency > 0.05  # the others do not finish a period
+    expected = np.where(designs.motor_on, slope, 0.0)
+    np.testing.assert_allclose(joint_speed(designs)[turns], expected[turns], rtol=1e-4)
+
+
+def test_a_limit_of_joints_allows_slower_gaits_alone() -> None:
+    designs = random_designs(200, np.random.default_rng(2))
+    allowed = Morphology(max_joint_speed=1.0).allows(designs)
+    np.testing.assert_array_equal(allowed, joint_speed(designs).max(axis=1) <= 1.0)
+    assert 0 < allowed.sum() < 200
 
 
 def upright_columns(gap: float) -> Designs:
@@ -87,7 +127,7 @@ def test_draws_go_on_until_every_design_is_apart() -> None:
         ok = numbers >= succeeds_at[which]
         return np.where(ok[:, None], good.table, bad.table)
 
-    drawn = sample_without_overlap(draw(np.arange(3)), draw)
+    drawn = sample_allowed(draw(np.arange(3)), draw, APART)
     assert links_apart(drawn.designs).all()
     assert drawn.n_draws.tolist() == [1, 5, 40]
 
@@ -102,15 +142,17 @@ def test_draws_end() -> None:
         assert len(which) <= MAX_BATCH
         return bad.table[np.zeros(len(which), int)]
 
-    with pytest.raises(DesignError, match="design 0: links that no joint connects overlap at rest in all 1000 samples"):
-        sample_without_overlap(draw(np.arange(2)), draw, max_draws=1000)
+    with pytest.raises(DesignError, match="design 0: none of 1000 samples is allowed where unjoined_links is apart"):
+        sample_allowed(draw(np.arange(2)), draw, APART, max_draws=1000)
     assert n_asked == 2000
-    instead = sample_without_overlap(draw(np.arange(2)), draw, max_draws=1000, otherwise=good.table[[0, 0]])
+    instead = sample_allowed(draw(np.arange(2)), draw, APART, max_draws=1000, otherwise=good.table[[0, 0]])
     assert links_apart(instead.designs).all()
     assert instead.n_draws.tolist() == [1001, 1001]
 
 
-@pytest.mark.parametrize("setting", [{"n_actuated": 6}, {"n_actuated": -1}, {"unjoined_links": "near"}])
+@pytest.mark.parametrize(
+    "setting", [{"n_actuated": 6}, {"n_actuated": -1}, {"unjoined_links": "near"}, {"max_joint_speed": 0.0}]
+)
 def test_impossible_morphologies_are_refused_by_name(setting: dict) -> None:
     with pytest.raises(ValidationError, match=next(iter(setting))):
         Morphology(**setting)

@@ -27,7 +27,7 @@ BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
 
 def sampler(rng: np.random.Generator) -> Sampler:
-    return Sampler(rng, variation_of(BUILDABLE), apart=True)
+    return Sampler(rng, variation_of(BUILDABLE), BUILDABLE)
 
 
 def keeps_to_it(designs: Designs) -> bool:
@@ -51,13 +51,48 @@ def test_every_operator_keeps_to_the_morphology(buildable: Designs, seed: int, m
     assert keeps_to_it(random_designs(2, rng, morphology=BUILDABLE))
 
 
+IN_GAIT = Morphology(n_actuated=2, unjoined_links="apart_in_gait", max_joint_speed=1.0)
+
+
+@pytest.fixture(scope="module")
+def apart_in_gait() -> Designs:
+    return random_designs(24, np.random.default_rng(23), morphology=IN_GAIT)
+
+
+@settings(max_examples=10)
+@given(seed=seeds)
+def test_every_operator_keeps_to_a_morphology_that_constrains_gaits(apart_in_gait: Designs, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    parents = apart_in_gait[rng.permutation(24)[:12]]
+    bodies, controllers = mutate(parents, rng, morphology=IN_GAIT), parents
+    for _ in range(5):
+        controllers = mutate(controllers, rng, parts=("control",), morphology=IN_GAIT)
+    anew = random_designs(6, rng, body=parents[:1], morphology=IN_GAIT)
+    for designs in (bodies, controllers, anew, crossover(parents[:6], parents[6:], rng, morphology=IN_GAIT)):
+        assert keeps_to_it(designs) and IN_GAIT.allows(designs).all()
+    assert (anew.rest_angle == parents.rest_angle[0]).all()
+    assert (anew.phase[:, 1:] != parents.phase[0, 1:]).all()
+
+
+def test_parents_without_a_common_gait_give_a_copy_of_one(apart_in_gait: Designs) -> None:
+    rng = np.random.default_rng(24)
+    pairs = rng.permuted(np.tile(np.arange(24), (400, 1)), axis=1)[:, :2]
+    one, other = apart_in_gait[pairs[:, 0]], apart_in_gait[pairs[:, 1]]
+    drawn = Sampler(rng, variation_of(IN_GAIT), IN_GAIT).recombinations((one.table, other.table))
+    hopeless = drawn.n_draws > MAX_RECOMBINATIONS
+    assert hopeless.any() and drawn.designs[hopeless].equals(one[hopeless])
+    assert IN_GAIT.allows(drawn.designs).all()
+
+
 def test_a_parent_without_a_mutant_is_named(buildable: Designs) -> None:
     """Wherever one of its links is hung, links that no joint ties overlap."""
     rng = np.random.default_rng(0)
     parents = buildable[rng.permutation(48)[8:10]]
     only_rewired = Mutation(genes_changed=0.0, step=0.001, rewiring=1.0)
     mutate(parents[:1], rng, mutation=only_rewired, morphology=BUILDABLE)
-    with pytest.raises(DesignError, match=f"design 1: links .* overlap at rest in all {MAX_DRAWS} samples"):
+    with pytest.raises(
+        DesignError, match=f"design 1: none of {MAX_DRAWS} samples is allowed .* unjoined_links is apart"
+    ):
         mutate(parents, rng, mutation=only_rewired, morphology=BUILDABLE)
 
 
