@@ -119,8 +119,8 @@ def apart_in_gait(designs: Designs) -> Bools:
     each = designs[np.repeat(np.arange(n), N_INSTANTS)]
     time = np.tile(np.arange(N_INSTANTS) / N_INSTANTS, n)[:, None]  # [periods]
     swing = np.where(each.motor_on, each.motion_range * np.sin(2 * np.pi * time + each.phase), 0.0)
-    apart: Bools = links_apart(replace(each, rest_angle=each.rest_angle + swing)).reshape(n, N_INSTANTS).all(axis=1)
-    return apart
+    apart = links_apart(replace(each, rest_angle=each.rest_angle + swing)).reshape(n, N_INSTANTS)
+    return np.asarray(apart.all(axis=1))
 
 
 def separation(one: Float64, other: Float64) -> Float64:
