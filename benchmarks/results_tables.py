@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
-from benchmarks import recorded_tables, tracks_tables
+from benchmarks import cluster_tables, recorded_tables, tracks_tables
 from tasks.analysis import paper
 from tasks.design.genes import N_LINKS
 from tasks.world import ENVIRONMENTS
@@ -281,6 +281,10 @@ TABLES = {
     "members": members,
     "open-choices": recorded_tables.open_choices,
     "kernels": recorded_tables.kernels,
+    "cluster-study": cluster_tables.study,
+    "cluster-driver": cluster_tables.driver,
+    "forecast-inputs": cluster_tables.forecast_inputs,
+    "cluster-forecast": cluster_tables.forecast,
     "tank": recorded_tables.tank,
     "torques": recorded_tables.torques,
     "intervals-of-means": recorded_tables.intervals_of_means,

@@ -4,7 +4,9 @@ The cost of a work item is affine in its size: a fixed part, and a part per weig
 for each kind of chain. Samples come from the manifests of the store, of this study and of others with the same
 settings as far as these decide the cost of a unit. Where the store has none, a calibration run provides them.
 
-A stage takes its core-seconds divided by the number of cores, but not less than its longest chain.
+A stage takes the longest of four times: its core-seconds divided by the number of cores; its longest chain, because a
+trial's segments follow one another; the driver's time for its items, which pass through that one process one after the
+other; and its traffic at the rate of the driver's network.
 
 On an AMD EPYC with compiled kernels, the ratio of forecast to real processor time in smoke and in a small laptop (2
 depths, 2 trials, 100 generations) was: collect 1.12 and 1.03, train 1.22 and 0.92, evolve 1.15 and 1.09, transfer 0.94
@@ -17,19 +19,42 @@ from __future__ import annotations
 import math
 import os
 import statistics
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pipeline.commands.expected_time import batches_per_generation
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
-from pipeline.store.manifest import Manifest, encode_manifest
+from pipeline.store.manifest import FileEntry, Manifest, encode_manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import StageRun, results_of
 from pipeline.workflow.record import settings_of
-from pipeline.workflow.stage import AnyStage, Chain, Results, Upstream
+from pipeline.workflow.stage import AnyStage, Chain, Item, Results, Upstream
+
+
+@dataclass(frozen=True)
+class DriverLimits:
+    """What the one process that submits and commits all items can do."""
+
+    seconds_per_item: float = 0.012  # to submit, commit and mirror one; see benchmarks/cluster_trial.py
+    bytes_per_second: float = 125e6  # to and from workers on other machines; 1 Gbit/s
+
+    @classmethod
+    def stated(cls, ms_per_item: float | None, network_gbit: float | None) -> DriverLimits:
+        """Return the limits that a user states on the command line, or the usual ones; each must be above 0."""
+        usual = cls()
+        return cls(
+            usual.seconds_per_item if ms_per_item is None else 1e-3 * _positive("--driver-ms", ms_per_item),
+            usual.bytes_per_second if network_gbit is None else 1e9 / 8 * _positive("--network-gbit", network_gbit),
+        )
+
+
+def _positive(option: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise PuddleError(f"{option}: expected a number above 0, got {value:g}")
+    return value
 
 
 @dataclass(frozen=True)
@@ -52,7 +77,21 @@ class Sample:
 
     size: float  # weighted units
     seconds: float
-    n_bytes: float
+    n_bytes: float  # on the disk
+    traffic: float  # to and from its worker [bytes]
+
+
+def traffic_of(item: Item[Any], files: Mapping[str, FileEntry]) -> int:
+    """Return the bytes that an item's worker receives and returns.
+
+    An input counts in full for every item, although Ray sends one that items share only once to each machine.
+
+    Args:
+        item: the item.
+        files: its results.
+    """
+    inputs = (source.manifest.files[name] for source in item.inputs.values() for name in source.files)
+    return sum(entry.n_bytes for entry in (*inputs, *files.values()))
 
 
 def bytes_of(manifest: Manifest) -> int:
@@ -69,6 +108,8 @@ class Cost:
     seconds_per_unit: float
     fixed_bytes: float
     bytes_per_unit: float
+    fixed_traffic: float
+    traffic_per_unit: float
 
     @classmethod
     def fit(cls, samples: Sequence[Sample]) -> Cost:
@@ -78,7 +119,8 @@ class Cost:
         small, large = ([one for one in samples if one.size == size] for size in (least, most))
         seconds = [statistics.median(one.seconds for one in group) for group in (small, large)]
         n_bytes = [statistics.median(one.n_bytes for one in group) for group in (small, large)]
-        return cls(*_line(least, most, *seconds), *_line(least, most, *n_bytes))
+        traffic = [statistics.median(one.traffic for one in group) for group in (small, large)]
+        return cls(*_line(least, most, *seconds), *_line(least, most, *n_bytes), *_line(least, most, *traffic))
 
     def seconds(self, sizes: Iterable[float]) -> float:
         """Return the time that items of these sizes take [s]."""
@@ -87,6 +129,10 @@ class Cost:
     def n_bytes(self, sizes: Iterable[float]) -> float:
         """Return the disk space that items of these sizes take [bytes]."""
         return sum(self.fixed_bytes + self.bytes_per_unit * size for size in sizes)
+
+    def traffic(self, sizes: Iterable[float]) -> float:
+        """Return what the workers of items of these sizes receive and return [bytes]."""
+        return sum(self.fixed_traffic + self.traffic_per_unit * size for size in sizes)
 
 
 def _line(x0: float, x1: float, y0: float, y1: float) -> tuple[float, float]:
@@ -104,14 +150,21 @@ class StageForecast:
     stage: str
     unit: str
     n_units: float
+    n_items: int
     core_seconds: float
     longest_chain_seconds: float  # no number of cores gets below this
-    n_bytes: float
+    n_bytes: float  # on the disk
+    traffic: float  # between the driver and the workers, at most [bytes]
     source: str  # where the samples come from
 
-    def seconds(self, n_cores: int) -> float:
-        """Return the time that the stage takes on a number of cores [s]."""
-        return max(self.core_seconds / n_cores, self.longest_chain_seconds)
+    def times(self, n_cores: int, driver: DriverLimits) -> dict[str, float]:
+        """Return the time that each limit allows the stage on a number of cores [s]; the longest decides."""
+        return {
+            "cores": self.core_seconds / n_cores,
+            "longest chain": self.longest_chain_seconds,
+            "driver": self.n_items * driver.seconds_per_item,
+            "network": self.traffic / driver.bytes_per_second,
+        }
 
 
 @dataclass(frozen=True)
@@ -122,10 +175,26 @@ class StudyForecast:
     stages: tuple[StageForecast, ...]
     n_cores: tuple[int, ...]  # numbers of cores to forecast for; the first is this machine's
     store_bytes: int | None  # size of the store, if there is one
+    driver: DriverLimits
+
+    def times(self, stage: StageForecast, n_cores: int) -> dict[str, float]:
+        """Return the time that each limit allows a stage [s]. This machine's own cores need no network."""
+        on_this_machine = n_cores <= self.n_cores[0]
+        driver = replace(self.driver, bytes_per_second=math.inf) if on_this_machine else self.driver
+        return stage.times(n_cores, driver)
+
+    def stage_seconds(self, stage: StageForecast, n_cores: int) -> float:
+        """Return the time that a stage takes on a number of cores [s]."""
+        return max(self.times(stage, n_cores).values())
+
+    def limit(self, stage: StageForecast, n_cores: int) -> str:
+        """Return what decides a stage's time: "cores", "longest chain", "driver" or "network"."""
+        times = self.times(stage, n_cores)
+        return max(times, key=times.__getitem__)
 
     def seconds(self, n_cores: int) -> float:
         """Return the time that the stages take on a number of cores, one after the other [s]."""
-        return sum(stage.seconds(n_cores) for stage in self.stages)
+        return sum(self.stage_seconds(stage, n_cores) for stage in self.stages)
 
 
 @dataclass(frozen=True)
@@ -162,14 +231,16 @@ def _survey(
     samples: dict[CostKind, list[Sample]] = {}
     for stage in STAGES:
         chains = StageRun(stage, settings, upstream, store, say).chains()
-        upstream[stage.name] = results_of(stage, chains)
         weights = {chain.identity: chain.weight for chain in stage.plan(settings)}
         for progress in chains:
-            for manifest, units in zip(progress.manifests, progress.chain.units, strict=False):
+            chain, before = progress.chain, [None, *progress.manifests]
+            for index, (manifest, units) in enumerate(zip(progress.manifests, chain.units, strict=False)):
                 if _is_comparable(manifest, settings):
-                    size = units * weights[progress.chain.identity]
-                    sample = Sample(size, manifest.record["seconds"], bytes_of(manifest))
-                    samples.setdefault(kind_of(stage, progress.chain), []).append(sample)
+                    traffic = traffic_of(stage.item(settings, chain, index, before[index], upstream), manifest.files)
+                    size, seconds = units * weights[chain.identity], manifest.record["seconds"]
+                    sample = Sample(size, seconds, bytes_of(manifest), traffic)
+                    samples.setdefault(kind_of(stage, chain), []).append(sample)
+        upstream[stage.name] = results_of(stage, chains)
     return upstream, samples
 
 
@@ -223,11 +294,20 @@ def forecast_stages(
         seconds = [costs[one.kind].seconds(one.sizes) for one in own]
         n_batches = (batches_per_generation(settings, one.chain) for one in own)
         longest = max((s / n for s, n in zip(seconds, n_batches, strict=True)), default=0.0)
-        n_bytes = sum(costs[one.kind].n_bytes(one.sizes) for one in own)
         found = {sources.get(one.kind, "store") for one in own}
-        n_units = sum(sum(one.units) for one in own)
-        source = " and ".join(sorted(found))
-        forecasts.append(StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
+        forecasts.append(
+            StageForecast(
+                stage=stage.name,
+                unit=stage.unit,
+                n_units=sum(sum(one.units) for one in own),
+                n_items=sum(len(one.units) for one in own),
+                core_seconds=sum(seconds),
+                longest_chain_seconds=longest,
+                n_bytes=sum(costs[one.kind].n_bytes(one.sizes) for one in own),
+                traffic=sum(costs[one.kind].traffic(one.sizes) for one in own),
+                source=" and ".join(sorted(found)),
+            )
+        )
     return forecasts
 
 
@@ -265,7 +345,9 @@ def on_stated_gpu(settings: Settings, tflops: float) -> Sample:
     """
     n_iterations = settings.training.n_iterations
     flop = 6.0 * settings.network.n_weights * settings.training.batch_size * n_iterations
-    return Sample(n_iterations, flop / (tflops * 1e12), _BYTES["iterations"][0])
+    n_bytes = _BYTES["iterations"][0]
+    throws = settings.throws.n_throws * _BYTES["throws"][1]
+    return Sample(n_iterations, flop / (tflops * 1e12), n_bytes, n_bytes + throws)
 
 
 def forecast_study(
@@ -274,6 +356,7 @@ def forecast_study(
     cores: Sequence[int],
     *,
     gpu_tflops: float | None = None,
+    driver: DriverLimits = DriverLimits(),
     say: Callable[[str], None],
 ) -> StudyForecast:
     """Forecast the rest of a study, for this machine's cores and for others.
@@ -283,6 +366,7 @@ def forecast_study(
         store: the store that holds its results, if there is one.
         cores: further numbers of cores to forecast for.
         gpu_tflops: rate of a GPU that trains, instead of one of this machine [TFLOP/s].
+        driver: what the driver can do.
         say: shows what is being timed.
 
     Returns:
@@ -294,8 +378,7 @@ def forecast_study(
     from pipeline.commands.calibration_run import calibrate
 
     if gpu_tflops is not None:
-        if not (math.isfinite(gpu_tflops) and gpu_tflops > 0):
-            raise PuddleError(f"--gpu-tflops: expected a rate above 0, got {gpu_tflops:g}")
+        _positive("--gpu-tflops", gpu_tflops)
         if settings.training.device != "cuda":
             raise PuddleError(
                 f"--gpu-tflops: training.device is '{settings.training.device}', expected --set training.device=cuda"
@@ -318,46 +401,10 @@ def forecast_study(
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     stages = tuple(forecast_stages(settings, remaining, costs, sources))
     store_bytes = None if store is None else store.size_bytes()
-    return StudyForecast(settings.name, stages, tuple(dict.fromkeys([own, *cores])), store_bytes)
+    return StudyForecast(settings.name, stages, tuple(dict.fromkeys([own, *cores])), store_bytes, driver)
 
 
 def _without_gpu(settings: Settings) -> Settings:
     """Return settings whose networks a core trains at once, to compute what comes after them."""
     quick = {"device": "cpu", "batch_size": min(_QUICK_BATCH, settings.training.batch_size)}
     return settings.model_copy(update={"training": settings.training.model_copy(update=quick)})
-
-
-def forecast_lines(forecast: StudyForecast) -> Iterator[str]:
-    """Tabulate a forecast; with one further number of cores, it is 80 columns wide."""
-    yield f"study {forecast.study}: the rest of the work"
-    header = "".join(f"{f'{n:,} core' + 's' * (n > 1):>10}" for n in forecast.n_cores)
-    yield f"{'stage':<9}{'work':>19}{'core time':>11}{header}{'disk':>9}  cost from"
-    for stage in forecast.stages:
-        work = f"{stage.n_units:,.0f} {stage.unit}" if stage.n_units >= 1 else "< 1 unit" if stage.n_units else "done"
-        times = "".join(f"{_time(stage.seconds(n)):>10}" for n in forecast.n_cores)
-        line = f"{stage.stage:<9}{work:>19}{_time(stage.core_seconds):>11}{times}{_size(stage.n_bytes):>9}"
-        yield f"{line}  {stage.source}".rstrip()
-    core_seconds, n_bytes = sum(s.core_seconds for s in forecast.stages), sum(s.n_bytes for s in forecast.stages)
-    times = "".join(f"{_time(forecast.seconds(n)):>10}" for n in forecast.n_cores)
-    yield f"{'all':<28}{_time(core_seconds):>11}{times}{_size(n_bytes):>9}"
-    if forecast.store_bytes is not None:
-        yield f"The store holds {_size(forecast.store_bytes)} now."
-
-
-def _time(seconds: float) -> str:
-    """Write a time in the unit that a person would use, so that a short one is not 0.00 h."""
-    if seconds <= 0:
-        return "-"
-    if seconds < 100:
-        return f"{seconds:.0f} s" if seconds >= 1 else "< 1 s"
-    if seconds < 6000:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h" if seconds < 360_000 else f"{seconds / 3600:,.0f} h"
-
-
-def _size(n_bytes: float) -> str:
-    if n_bytes <= 0:
-        return "-"
-    if n_bytes >= 1e10:
-        return f"{n_bytes / 1e9:,.0f} GB"
-    return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 1e6 else "< 1 MB"

@@ -20,6 +20,13 @@ def forecast(
         float | None,
         typer.Option("--gpu-tflops", help="Rate at which a GPU trains, where this machine has none [TFLOP/s]."),
     ] = None,
+    driver_ms: Annotated[
+        float | None,
+        typer.Option("--driver-ms", help="The driver's time for a work item, if not as docs/cluster.md says [ms]."),
+    ] = None,
+    network_gbit: Annotated[
+        float | None, typer.Option("--network-gbit", help="Rate of the driver's network, if not 1 Gbit/s [Gbit/s].")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Estimate how long the rest of a study will take, and how much disk it will use.
@@ -27,14 +34,27 @@ def forecast(
     With training.device=cuda, training is timed on a GPU of this machine, or priced at --gpu-tflops: the rate that a
     GPU reaches, which is well below the peak that its maker states.
     """
-    from pipeline.commands.cost_model import forecast_lines, forecast_study
+    from pipeline.commands.cost_model import DriverLimits, forecast_study
+    from pipeline.commands.forecast_table import forecast_lines
 
     with interruptible():
         found = forecast_study(
-            options.settings(), options.find_store(), tuple(cores or ()), gpu_tflops=gpu_tflops, say=to_stderr
+            options.settings(),
+            options.find_store(),
+            tuple(cores or ()),
+            gpu_tflops=gpu_tflops,
+            driver=DriverLimits.stated(driver_ms, network_gbit),
+            say=to_stderr,
         )
     if as_json:
-        stages = [{**asdict(one), "seconds": {str(n): one.seconds(n) for n in found.n_cores}} for one in found.stages]
+        stages = [
+            {
+                **asdict(one),
+                "seconds": {str(n): found.stage_seconds(one, n) for n in found.n_cores},
+                "limit": {str(n): found.limit(one, n) for n in found.n_cores},
+            }
+            for one in found.stages
+        ]
         print_json({**asdict(found), "stages": stages, "seconds": {str(n): found.seconds(n) for n in found.n_cores}})
         return
     for line in forecast_lines(found):

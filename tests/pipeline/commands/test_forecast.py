@@ -2,21 +2,25 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 from command_line import call, refused
+from small_study import labelled
 
 from pipeline.commands.cost_model import (
     Cost,
+    DriverLimits,
     Sample,
     StageForecast,
     StudyForecast,
-    forecast_lines,
     forecast_stages,
     forecast_study,
     kind_of,
     remaining_chains,
+    traffic_of,
 )
+from pipeline.commands.forecast_table import forecast_lines
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
@@ -25,7 +29,7 @@ from tasks.residual.torch_descent import n_cuda_devices
 
 
 def sample(size: float, seconds: float) -> Sample:
-    return Sample(size, seconds, n_bytes=100.0 + size)
+    return Sample(size, seconds, n_bytes=100.0 + size, traffic=1000.0 + 2 * size)
 
 
 class CalibrationStarted(Exception):  # noqa: N818
@@ -41,6 +45,7 @@ def test_a_cost_is_a_line_through_the_medians_of_two_sizes():
     cost = Cost.fit([sample(1, 3), sample(2, 5), sample(2, 60), sample(2, 4)])
     assert (cost.fixed_seconds, cost.seconds_per_unit) == (1, 2)
     assert (cost.fixed_bytes, cost.bytes_per_unit) == (100, 1)
+    assert (cost.fixed_traffic, cost.traffic_per_unit) == (1000, 2) and cost.traffic([1, 10]) == 2000 + 22
     assert cost.seconds([1, 10]) == 2 + 22
 
 
@@ -58,11 +63,12 @@ def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
     """The paper's chains: 1,000 generations of 64 designs, in batches of 4 under networks only."""
     paper = load(Settings, preset_path("paper"))
     remaining = [one for one in remaining_chains(paper, {}) if one.stage.name == "evolve"]
-    costs = {one.kind: Cost(0.0, 1.0 / one.chain.weight, 0.0, 1.0 / one.chain.weight) for one in remaining}
+    costs = {one.kind: Cost(0.0, 1.0 / one.chain.weight, 0.0, 0.0, 1e6, 0.0) for one in remaining}
     evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, {})}["evolve"]
     assert evolve.n_units == evolve.core_seconds == pytest.approx(310_000)
     assert evolve.longest_chain_seconds == pytest.approx(1000)
-    assert evolve.seconds(100) == pytest.approx(3100) and evolve.seconds(1000) == pytest.approx(1000)
+    times = evolve.times(100, DriverLimits(0.1, 1e6))
+    assert times == pytest.approx({"cores": 3100, "longest chain": 1000, "driver": 1240, "network": 12_400})
     alone = [one for one in remaining if one.kind.environment == "residual_slush"]
     (split,) = (stage for stage in forecast_stages(paper, alone, costs, {}) if stage.stage == "evolve")
     assert split.longest_chain_seconds == pytest.approx(1000 / 16)
@@ -114,7 +120,7 @@ def test_training_is_priced_for_a_stated_gpu(settings):
     ("arguments", "said"),
     [
         (["--gpu-tflops", "20"], "--gpu-tflops: training.device is 'cpu', expected --set training.device=cuda"),
-        (["--gpu-tflops", "0", "--set", "training.device=cuda"], "--gpu-tflops: expected a rate above 0, got 0"),
+        (["--gpu-tflops", "0", "--set", "training.device=cuda"], "--gpu-tflops: expected a number above 0, got 0"),
         (["--set", "training.device=cuda"], "state the rate of one with --gpu-tflops"),
     ],
 )
@@ -126,14 +132,14 @@ def test_a_gpu_that_is_not_there_needs_a_rate(capsys, tmp_path, arguments, said)
 def test_short_and_long_times_are_written_in_their_units():
     """0.00 h says nothing of 12 s."""
     stages = [
-        StageForecast("collect", "throws", 500, 0.4, 0.4, 2e5, "store"),
-        StageForecast("train", "iterations", 44_000, 24.0, 12.0, 3e6, "store"),
-        StageForecast("evolve", "generations", 124_000, 40_000.0, 60.0, 2e10, "store and calibration"),
-        StageForecast("transfer", "generations", 0.09, 600_000.0, 1.0, 1.0, "store"),
-        StageForecast("assess", "designs", 0, 0.0, 0.0, 0.0, ""),
+        StageForecast("collect", "throws", 500, 1, 0.4, 0.4, 2e5, 2e5, "store"),
+        StageForecast("train", "iterations", 44_000, 2, 24.0, 12.0, 3e6, 4e6, "store"),
+        StageForecast("evolve", "generations", 124_000, 1240, 40_000.0, 60.0, 2e10, 3e10, "store and calibration"),
+        StageForecast("transfer", "generations", 0.09, 1, 600_000.0, 1.0, 1.0, 1.0, "store"),
+        StageForecast("assess", "designs", 0, 0, 0.0, 0.0, 0.0, 0.0, ""),
     ]
-    forecast = StudyForecast("tiny", tuple(stages), (2, 64), 5_000_000)
-    _, header, collect, train, evolve, transfer, assess, total, now = forecast_lines(forecast)
+    forecast = StudyForecast("tiny", tuple(stages), (2, 64), 5_000_000, DriverLimits())
+    _, header, collect, train, evolve, transfer, assess, total, *_, now = forecast_lines(forecast)
     assert header.split() == ["stage", "work", "core", "time", "2", "cores", "64", "cores", "disk", "cost", "from"]
     assert collect.split("  ")[-1] == "store" and "500 throws" in collect and collect.count("< 1 s") == 3
     assert "24 s" in train and train.count("12 s") == 2 and "3 MB" in train
@@ -144,6 +150,55 @@ def test_short_and_long_times_are_written_in_their_units():
     assert max(map(len, (header, collect, train, transfer, assess, total))) <= 80
 
 
+def test_what_limits_the_time_is_named():
+    """4,000 core-seconds are 4 s on 1,000 cores, and 250 items of 20 ms take the driver 5 s; 2 GB take 16 s."""
+    evolve = StageForecast("evolve", "generations", 25_000, 250, 4000.0, 2.0, 1e9, 0.0, "store")
+    stages = (
+        evolve,
+        replace(evolve, stage="transfer", traffic=2e9),
+        replace(evolve, stage="train", n_items=8, longest_chain_seconds=30.0),
+        replace(evolve, stage="report", n_items=1, core_seconds=0.2, longest_chain_seconds=0.2),  # not noticeable
+    )
+    forecast = StudyForecast("tiny", stages, (2, 64, 1000), None, DriverLimits.stated(20.0, None))
+    assert [forecast.stage_seconds(stage, 1000) for stage in stages] == [5.0, 16.0, 30.0, 0.2]
+    assert forecast.limit(stages[1], 2) == "cores"  # this machine's own cores need no network
+    _, header, *_, driver, few, many = forecast_lines(forecast)
+    assert header.endswith("64 cores 1,000 cores     disk  cost from")
+    assert driver == "driver: 509 items at 20 ms, at most 2000 MB to and from workers at 1 Gbit/s"
+    assert few == "64 cores: limited by cores (evolve, transfer, train)"
+    assert many == "1,000 cores: limited by driver (evolve); network (transfer); longest chain (train)"
+
+
+@pytest.mark.parametrize("option", ["--driver-ms", "--network-gbit"])
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
+def test_limits_of_the_driver_are_above_0(capsys, tmp_path, option, value):
+    said = refused(capsys, "forecast", "--preset", "smoke", "--store", str(tmp_path), option, value)
+    assert f"{option}: expected a number above 0, got {float(value):g}" in said
+
+
+def test_traffic_is_what_workers_receive_and_return(study, settings):
+    """A trial's second segment receives the first one's population; both of Residual Slush receive the ensemble."""
+    store, upstream = study
+    (stage,) = (stage for stage in STAGES if stage.name == "evolve")
+    chains = {chain.identity.label: chain for chain in stage.plan(settings)}
+    done = labelled(upstream["evolve"].done)
+    sent = {}
+    for label in ("dry_land/1m/trial-0", "residual_slush/1m/trial-0"):
+        for index, before in enumerate([None, done[label][0]]):
+            item = stage.item(settings, chains[label], index, before, upstream)
+            returned = store.item_bytes("evolve", item.key) - store.manifest_path("evolve", item.key).stat().st_size
+            sent[label, index] = traffic_of(item, done[label][index].files) - returned
+    population = done["dry_land/1m/trial-0"][0].files["population.safetensors"].n_bytes
+    weights = sum(
+        entry.n_bytes
+        for (member,) in upstream["train"].done.values()
+        for name, entry in member.files.items()
+        if name == "weights.safetensors"
+    )
+    assert sent["dry_land/1m/trial-0", 0] == 0 and sent["dry_land/1m/trial-0", 1] == population
+    assert sent["residual_slush/1m/trial-0", 0] == weights > 0
+
+
 def test_forecast_as_json(study, settings, tmp_path, capsys):
     (tmp_path / "tiny.yaml").write_text(settings.model_dump_json())
     chosen = ("--settings", str(tmp_path / "tiny.yaml"), "--store", str(study[0].root), "--cores", "8")
@@ -151,6 +206,7 @@ def test_forecast_as_json(study, settings, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["study"] == "tiny" and found["seconds"]["8"] == 0 and len(found["stages"]) == len(STAGES)
     assert found["stages"][3]["unit"] == "generations" and found["stages"][3]["core_seconds"] == 0
+    assert found["stages"][3]["limit"] == dict.fromkeys(found["seconds"], "cores")
 
 
 def test_kinds_tell_apart_what_costs_differ(settings):
