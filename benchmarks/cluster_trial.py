@@ -86,8 +86,9 @@ def _processor_times() -> Iterator[tuple[tuple[int, float], tuple[str, float]]]:
     """Yield the processor time of each descendant [s] and its part, by process number and time of its start."""
     for process in psutil.Process().children(recursive=True):
         with contextlib.suppress(psutil.Error):
-            words, times = process.cmdline(), process.cpu_times()
-            yield (process.pid, process.create_time()), (_part(words), times.user + times.system)
+            if words := process.cmdline():  # not a process that has just ended
+                times = process.cpu_times()
+                yield (process.pid, process.create_time()), (_part(words), times.user + times.system)
 
 
 def _part(words: Sequence[str]) -> str:

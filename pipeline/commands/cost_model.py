@@ -38,7 +38,7 @@ from pipeline.workflow.stage import AnyStage, Chain, Item, Results, Upstream
 class DriverLimits:
     """What the one process that submits and commits all items can do."""
 
-    seconds_per_item: float = 0.012  # to submit, commit and mirror one; see benchmarks/cluster_trial.py
+    seconds_per_item: float = 0.010  # to submit, commit and mirror one; see docs/cluster.md
     bytes_per_second: float = 125e6  # to and from workers on other machines; 1 Gbit/s
 
     @classmethod
