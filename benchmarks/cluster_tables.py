@@ -34,13 +34,14 @@ def study(results: Mapping[str, Any]) -> str:
 def driver(results: Mapping[str, Any]) -> str:
     """Tabulate how many items a second the driver handles."""
     lines = [
-        "| an item takes | believed cores | items per second | workers busy | the driver's time per item "
+        "| an item takes | and returns | believed cores | items per second | workers busy | the driver's time per item "
         "| its processor time | the machine busy |",
-        "|" + "--:|" * 7,
+        "|" + "--:|" * 8,
     ]
     for row in results["driver"]["rows"]:
         cells = (
             f"{row['item_seconds']:g} s",
+            f"{row['item_bytes'] / 1e6:g} MB",
             f"{row['believed_cores']:,}",
             f"{row['items_per_second']:.0f}",
             _percent(row["occupancy"]),
@@ -50,6 +51,13 @@ def driver(results: Mapping[str, Any]) -> str:
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def made_with(results: Mapping[str, Any]) -> str:
+    """Say at which commits, and on which processor, both measurements were made."""
+    study_made, driver_made = (results[name]["made_with"] for name in ("study", "driver"))
+    commits = f"{study_made['commit'][:7]} (the study) and {driver_made['commit'][:7]} (items that sleep)"
+    return f"Measured at commits {commits}, on {study_made['cpu']}, Ray {study_made['ray']}."
 
 
 def forecast_inputs(results: Mapping[str, Any]) -> str:

@@ -36,7 +36,6 @@ STUDY = ("--preset", "laptop", "--set", "grid.depths=[2,9]", "--set", "name=tria
 QUICK = ("--set", "evolution.n_generations=2", "--set", "transfer.n_generations=2", "--set", "training.n_iterations=10")
 """A study that compiles the kernels of the other one before it is timed."""
 N_NODES, WORKERS_PER_NODE = 4, 2
-SLEEPS = (8, 4, 2, 1, 0.5)  # [s]
 N_SLEEPING_NODES, SLEEPERS_PER_NODE = 8, 8
 _OBJECT_STORE_BYTES = 2**28  # of a node
 _SECONDS_BETWEEN_SAMPLES = 0.5
@@ -220,7 +219,7 @@ def study() -> dict[str, Any]:
 def driver() -> dict[str, Any]:
     """Measure how many items a second the driver can handle."""
     with nodes_of_ray(N_SLEEPING_NODES, SLEEPERS_PER_NODE) as address:
-        rows = drive("sleep", address, *map(str, SLEEPS))
+        rows = drive("sleep", address)
     return {"made_with": dict(provenance()), "n_workers": N_SLEEPING_NODES * SLEEPERS_PER_NODE, "rows": rows}
 
 

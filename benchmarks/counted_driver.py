@@ -1,7 +1,7 @@
 """A driver that counts what passes through it, for `python -m benchmarks.cluster_trial`.
 
     python -m benchmarks.counted_driver COUNTS.json study --preset laptop …       # puddle's own command and options
-    python -m benchmarks.counted_driver COUNTS.json sleep HOST:PORT SECONDS …     # items that sleep
+    python -m benchmarks.counted_driver COUNTS.json sleep HOST:PORT               # items that sleep
 
 Both write JSON. The counts are those of the cluster that the driver calls: its methods are wrapped, and nothing else is
 changed.
@@ -48,13 +48,10 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 
-SEGMENT = {"population": 10_000, "history": 60_000}
-"""Bytes of the two files of an item that sleeps: about those of a segment of a trial of 64 designs."""
 N_SLEEPING_TRIALS = 520
 """Chains of items that sleep: as many as the preset desk has trials. A chain has one item in Ray's hands at a time."""
 _N_PER_CASE, _SECONDS_PER_CASE = 2000, 30.0  # number of items of a measurement, unless they take this long [s]
-_WARM_UP = 4.0  # sleep of items that are not measured [s]
-_MANY_CORES = 1000
+_POPULATION_BYTES = 10_000  # the next item's input; the rest is its history
 _GENERATIONS = 25  # of a segment, and points of its curve
 _LARGE = 100 * 1024  # Ray puts a larger argument into the object store by itself [bytes]
 
@@ -152,34 +149,45 @@ def counting() -> Iterator[Counts]:
 
 
 @dataclass(frozen=True)
+class Case:
+    """A measurement of items that sleep."""
+
+    seconds: float  # that an item sleeps
+    n_bytes: int  # that it returns
+    n_cores: int | None = None  # that the driver believes in, if not the cluster's
+
+
+OF_25_GENERATIONS, OF_100_GENERATIONS = 200_000, 800_000  # of 64 designs, as in the presets paper and desk [bytes]
+CASES = (
+    *(Case(seconds, OF_25_GENERATIONS) for seconds in (4.0, 4.0, 2.0, 1.0, 0.5)),
+    Case(0.5, OF_25_GENERATIONS, n_cores=1000),
+    Case(1.0, OF_100_GENERATIONS),
+)
+"""The first one starts the workers, and does not count."""
+
+
+@dataclass(frozen=True)
 class Sleep:
     """The specification of an item that sleeps."""
 
-    seconds: float
-    case: str
+    case: Case
     trial: int
     index: int
 
 
-def sleeping_stage(seconds: float, case: str, n_items: int) -> Stage[Sleep, Sleep]:
-    """Return a stage of chains like trials, whose items sleep and return random bytes.
-
-    Args:
-        seconds: time that an item sleeps [s].
-        case: tells the items of one measurement from those of others.
-        n_items: number of items of each chain.
-    """
+def sleeping_stage(case: Case, n_items: int) -> Stage[Sleep, Sleep]:
+    """Return a stage of chains like trials, each of some items that sleep and return random bytes."""
 
     def plan(_settings: Settings) -> Sequence[Chain[Sleep]]:
         units = (float(_GENERATIONS),) * n_items
         trials = (TrialId("sleep", "true_slush", 1.0, trial) for trial in range(N_SLEEPING_TRIALS))
-        return [Chain(trial, units, Sleep(seconds, case, trial.index, 0)) for trial in trials]
+        return [Chain(trial, units, Sleep(case, trial.index, 0)) for trial in trials]
 
     def item(
         _settings: Settings, chain: Chain[Sleep], index: int, previous: Manifest | None, _upstream: Upstream
     ) -> Item[Sleep]:
         inputs = {InputName("before"): Input(previous, ("population",))} if previous else {}
-        spec = Sleep(seconds, case, chain.spec.trial, index)
+        spec = Sleep(case, chain.spec.trial, index)
         return Item("sleep", 1, f"{chain.label}#{index}", spec, inputs)
 
     return Stage(
@@ -197,8 +205,9 @@ def sleeping_stage(seconds: float, case: str, n_items: int) -> Stage[Sleep, Slee
 
 
 def _sleep(job: Job[Sleep], _inputs: Inputs) -> Files:
-    time.sleep(job.spec.seconds)
-    return {name: random.Random(job.key).randbytes(n_bytes) for name, n_bytes in SEGMENT.items()}
+    time.sleep(job.spec.case.seconds)
+    content = random.Random(job.key).randbytes(job.spec.case.n_bytes)
+    return {"population": content[:_POPULATION_BYTES], "history": content[_POPULATION_BYTES:]}
 
 
 def _summary(results: Results) -> Summary:
@@ -209,20 +218,12 @@ def _curve(history: bytes) -> CurvePoints:
     return CurvePoints(range(_GENERATIONS), {"best": [float(byte) for byte in history[:_GENERATIONS]]})
 
 
-def measure_sleep(cluster: Cluster, seconds: float, *, n_queued_cores: int | None = None) -> dict[str, Any]:
-    """Drive items that sleep, and return what an item takes the driver.
-
-    Args:
-        cluster: runs them.
-        seconds: time that an item sleeps [s].
-        n_queued_cores: number of cores that the driver believes in, if not the cluster's: it keeps two items for each
-            in Ray's hands.
-    """
+def measure_sleep(cluster: Cluster, case: Case) -> dict[str, Any]:
+    """Drive items that sleep, and return what an item takes the driver."""
     n_workers = int(cluster.n_cores)
-    believed = n_queued_cores or n_workers
-    n_items = max(1, round(min(_N_PER_CASE, _SECONDS_PER_CASE * n_workers / seconds) / N_SLEEPING_TRIALS))
-    stage = sleeping_stage(seconds, f"{seconds:g} s, {believed} cores", n_items)
-    with tempfile.TemporaryDirectory() as folder, _believed_cores(n_queued_cores), counting() as counts:
+    n_items = max(1, round(min(_N_PER_CASE, _SECONDS_PER_CASE * n_workers / case.seconds) / N_SLEEPING_TRIALS))
+    stage = sleeping_stage(case, n_items)
+    with tempfile.TemporaryDirectory() as folder, _believed_cores(case.n_cores), counting() as counts:
         store = Store.open(Path(folder) / "store", create=True)
         begun, cpu = time.perf_counter(), time.process_time()
         psutil.cpu_percent()
@@ -242,8 +243,9 @@ def measure_sleep(cluster: Cluster, seconds: float, *, n_queued_cores: int | Non
     found = counts.stages["sleep"]
     wall = found.ended - found.begun
     row = {
-        "item_seconds": seconds,
-        "believed_cores": believed,
+        "item_seconds": case.seconds,
+        "item_bytes": case.n_bytes,
+        "believed_cores": case.n_cores or n_workers,
         "n_items": found.n_items,
         "seconds": round(wall, 2),
         "items_per_second": round(found.n_items / wall, 2),
@@ -275,11 +277,8 @@ def main() -> None:
     """Drive a study, or items that sleep, and write the counts."""
     out, what, *arguments = sys.argv[1:]
     if what == "sleep":
-        address, *cases = arguments
-        with ray_cluster(address) as cluster:
-            measure_sleep(cluster, _WARM_UP)  # starts the workers
-            rows = [measure_sleep(cluster, float(seconds)) for seconds in cases]
-            rows.append(measure_sleep(cluster, float(cases[-1]), n_queued_cores=_MANY_CORES))
+        with ray_cluster(arguments[0]) as cluster:
+            _, *rows = [measure_sleep(cluster, case) for case in CASES]
         Path(out).write_text(json.dumps(rows))
         return
     with counting() as counts:

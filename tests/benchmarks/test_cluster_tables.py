@@ -30,10 +30,16 @@ def test_a_study_on_two_clusters_is_compared_line_by_line():
 
 
 def test_a_row_for_each_item_that_sleeps():
-    row = {"item_seconds": 0.5, "believed_cores": 1000, "items_per_second": 98.6, "occupancy": 0.77}
+    row = {
+        "item_seconds": 0.5,
+        "item_bytes": 200_000,
+        "believed_cores": 1000,
+        "items_per_second": 98.6,
+        "occupancy": 0.77,
+    }
     row |= {"driver_ms": 9.96, "driver_cpu_ms": 8.0, "machine_busy": 0.9}
     *_, line = driver({"driver": {"rows": [row]}}).splitlines()
-    assert line == "| 0.5 s | 1,000 | 99 | 77 % | 10.0 ms | 8.0 ms | 90 % |"
+    assert line == "| 0.5 s | 0.2 MB | 1,000 | 99 | 77 % | 10.0 ms | 8.0 ms | 90 % |"
 
 
 def stage(name, core_seconds, seconds, limit):
