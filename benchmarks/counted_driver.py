@@ -158,7 +158,7 @@ class Case:
 
 
 OF_25_GENERATIONS, OF_100_GENERATIONS = 200_000, 800_000  # of 64 designs, as in the presets paper and desk [bytes]
-CASES = (
+SLEEP_CASES = (
     *(Case(seconds, OF_25_GENERATIONS) for seconds in (4.0, 4.0, 2.0, 1.0, 0.5)),
     Case(0.5, OF_25_GENERATIONS, n_cores=1000),
     Case(1.0, OF_100_GENERATIONS),
@@ -278,7 +278,7 @@ def main() -> None:
     out, what, *arguments = sys.argv[1:]
     if what == "sleep":
         with ray_cluster(arguments[0]) as cluster:
-            _, *rows = [measure_sleep(cluster, case) for case in CASES]
+            _, *rows = [measure_sleep(cluster, case) for case in SLEEP_CASES]
         Path(out).write_text(json.dumps(rows))
         return
     with counting() as counts:
