@@ -38,17 +38,19 @@ from pipeline.workflow.stage import AnyStage, Chain, Item, Results, Upstream
 class DriverLimits:
     """What the one process that submits and commits all items can do."""
 
-    seconds_per_item: float = 0.010  # to submit, commit and mirror one; see docs/cluster.md
+    seconds_per_item: float = 0.009  # to submit, collect, commit and mirror one; see docs/cluster.md
+    seconds_per_byte: float = 18e-9  # of an item's results, on top of that
     bytes_per_second: float = 125e6  # to and from workers on other machines; 1 Gbit/s
 
     @classmethod
     def stated(cls, ms_per_item: float | None, network_gbit: float | None) -> DriverLimits:
         """Return the limits that a user states on the command line, or the usual ones; each must be above 0."""
         usual = cls()
-        return cls(
-            usual.seconds_per_item if ms_per_item is None else 1e-3 * _positive("--driver-ms", ms_per_item),
-            usual.bytes_per_second if network_gbit is None else 1e9 / 8 * _positive("--network-gbit", network_gbit),
-        )
+        if ms_per_item is not None:
+            usual = replace(usual, seconds_per_item=1e-3 * _positive("--driver-ms", ms_per_item))
+        if network_gbit is not None:
+            usual = replace(usual, bytes_per_second=1e9 / 8 * _positive("--network-gbit", network_gbit))
+        return usual
 
 
 def _positive(option: str, value: float) -> float:
@@ -162,7 +164,7 @@ class StageForecast:
         return {
             "cores": self.core_seconds / n_cores,
             "longest chain": self.longest_chain_seconds,
-            "driver": self.n_items * driver.seconds_per_item,
+            "driver": self.n_items * driver.seconds_per_item + self.n_bytes * driver.seconds_per_byte,
             "network": self.traffic / driver.bytes_per_second,
         }
 

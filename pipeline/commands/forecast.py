@@ -22,7 +22,9 @@ def forecast(
     ] = None,
     driver_ms: Annotated[
         float | None,
-        typer.Option("--driver-ms", help="The driver's time for a work item, if not as docs/cluster.md says [ms]."),
+        typer.Option(
+            "--driver-ms", help="The driver's time for a small work item, if not as docs/cluster.md says [ms]."
+        ),
     ] = None,
     network_gbit: Annotated[
         float | None, typer.Option("--network-gbit", help="Rate of the driver's network, if not 1 Gbit/s [Gbit/s].")

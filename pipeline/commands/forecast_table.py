@@ -24,8 +24,8 @@ def forecast_lines(forecast: StudyForecast) -> Iterator[str]:
     if n_items:
         driver = forecast.driver
         yield (
-            f"driver: {n_items:,} items at {1e3 * driver.seconds_per_item:g} ms, at most {_size(traffic)} to and from "
-            f"workers at {8e-9 * driver.bytes_per_second:g} Gbit/s"
+            f"driver: {n_items:,} items at {1e3 * driver.seconds_per_item:g} ms and {1e9 * driver.seconds_per_byte:g} "
+            f"ms/MB; at most {_size(traffic)} to and from workers at {8e-9 * driver.bytes_per_second:g} Gbit/s"
         )
         yield from _limit_lines(forecast)
     if forecast.store_bytes is not None:

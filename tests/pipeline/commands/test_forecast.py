@@ -67,7 +67,7 @@ def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
     evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, {})}["evolve"]
     assert evolve.n_units == evolve.core_seconds == pytest.approx(310_000)
     assert evolve.longest_chain_seconds == pytest.approx(1000)
-    times = evolve.times(100, DriverLimits(0.1, 1e6))
+    times = evolve.times(100, DriverLimits(seconds_per_item=0.1, bytes_per_second=1e6))
     assert times == pytest.approx({"cores": 3100, "longest chain": 1000, "driver": 1240, "network": 12_400})
     alone = [one for one in remaining if one.kind.environment == "residual_slush"]
     (split,) = (stage for stage in forecast_stages(paper, alone, costs, {}) if stage.stage == "evolve")
@@ -151,21 +151,24 @@ def test_short_and_long_times_are_written_in_their_units():
 
 
 def test_what_limits_the_time_is_named():
-    """4,000 core-seconds are 4 s on 1,000 cores, and 250 items of 20 ms take the driver 5 s; 2 GB take 16 s."""
-    evolve = StageForecast("evolve", "generations", 25_000, 250, 4000.0, 2.0, 1e9, 0.0, "store")
+    """4,000 core-seconds are 4 s on 1,000 cores; 250 items of 20 ms take the driver 5 s, and 100 MB of results 1.8 s;
+    the network takes 16 s for 2 GB.
+    """
+    evolve = StageForecast("evolve", "generations", 25_000, 250, 4000.0, 2.0, 1e8, 0.0, "store")
     stages = (
         evolve,
         replace(evolve, stage="transfer", traffic=2e9),
         replace(evolve, stage="train", n_items=8, longest_chain_seconds=30.0),
-        replace(evolve, stage="report", n_items=1, core_seconds=0.2, longest_chain_seconds=0.2),  # not noticeable
+        replace(evolve, stage="report", n_items=1, core_seconds=0.2, longest_chain_seconds=0.2, n_bytes=0.0),
     )
     forecast = StudyForecast("tiny", stages, (2, 64, 1000), None, DriverLimits.stated(20.0, None))
-    assert [forecast.stage_seconds(stage, 1000) for stage in stages] == [5.0, 16.0, 30.0, 0.2]
+    assert [forecast.stage_seconds(stage, 1000) for stage in stages] == pytest.approx([6.8, 16.0, 30.0, 0.2])
     assert forecast.limit(stages[1], 2) == "cores"  # this machine's own cores need no network
     _, header, *_, driver, few, many = forecast_lines(forecast)
     assert header.endswith("64 cores 1,000 cores     disk  cost from")
-    assert driver == "driver: 509 items at 20 ms, at most 2000 MB to and from workers at 1 Gbit/s"
+    assert driver == "driver: 509 items at 20 ms and 18 ms/MB; at most 2000 MB to and from workers at 1 Gbit/s"
     assert few == "64 cores: limited by cores (evolve, transfer, train)"
+    # The report takes too little time to be named.
     assert many == "1,000 cores: limited by driver (evolve); network (transfer); longest chain (train)"
 
 
