@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.commands.cost_model import CostKind, Sample, bytes_of, kind_of, traffic_of
+from pipeline.commands.cost_model import CostKind, Sample, bytes_of, input_bytes_of, kind_of
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
@@ -69,8 +69,8 @@ class _Run:
         entries = {name: FileEntry(digest(data), len(data)) for name, data in files.items()}
         manifest = Manifest(stage.name, items[0].key, items[0].identity, entries, {}, {})
         self.files[manifest.key] = files
-        size, traffic = chains[0].units[index] * chains[0].weight, traffic_of(items[0], entries)
-        return manifest, Sample(size, seconds, bytes_of(manifest), traffic)
+        size = chains[0].units[index] * chains[0].weight
+        return manifest, Sample(size, seconds, bytes_of(manifest), input_bytes_of(items[0]))
 
 
 def calibrate(

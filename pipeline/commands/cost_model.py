@@ -27,7 +27,7 @@ from pipeline.commands.expected_time import batches_per_generation
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
-from pipeline.store.manifest import FileEntry, Manifest, encode_manifest
+from pipeline.store.manifest import Manifest, encode_manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import StageRun, results_of
 from pipeline.workflow.record import settings_of
@@ -80,20 +80,15 @@ class Sample:
     size: float  # weighted units
     seconds: float
     n_bytes: float  # on the disk
-    traffic: float  # to and from its worker [bytes]
+    input_bytes: float
 
 
-def traffic_of(item: Item[Any], files: Mapping[str, FileEntry]) -> int:
-    """Return the bytes that an item's worker receives and returns.
+def input_bytes_of(item: Item[Any]) -> int:
+    """Return the length of an item's inputs [bytes].
 
     An input counts in full for every item, although Ray sends one that items share only once to each machine.
-
-    Args:
-        item: the item.
-        files: its results.
     """
-    inputs = (source.manifest.files[name] for source in item.inputs.values() for name in source.files)
-    return sum(entry.n_bytes for entry in (*inputs, *files.values()))
+    return sum(source.manifest.files[name].n_bytes for source in item.inputs.values() for name in source.files)
 
 
 def bytes_of(manifest: Manifest) -> int:
@@ -110,19 +105,23 @@ class Cost:
     seconds_per_unit: float
     fixed_bytes: float
     bytes_per_unit: float
-    fixed_traffic: float
-    traffic_per_unit: float
+    input_bytes: float
 
     @classmethod
-    def fit(cls, samples: Sequence[Sample]) -> Cost:
-        """Fit the medians of the smallest and of the greatest size, which ignore items that waited for a compiler."""
+    def fit(cls, samples: Sequence[Sample], *, bytes_grow: bool = True) -> Cost:
+        """Fit the medians of the smallest and of the greatest size, which ignore items that waited for a compiler.
+
+        Args:
+            samples: items of one kind.
+            bytes_grow: whether results grow with an item's size; a network does not with the iterations.
+        """
         sizes = [sample.size for sample in samples]
         least, most = min(sizes), max(sizes)
         small, large = ([one for one in samples if one.size == size] for size in (least, most))
         seconds = [statistics.median(one.seconds for one in group) for group in (small, large)]
         n_bytes = [statistics.median(one.n_bytes for one in group) for group in (small, large)]
-        traffic = [statistics.median(one.traffic for one in group) for group in (small, large)]
-        return cls(*_line(least, most, *seconds), *_line(least, most, *n_bytes), *_line(least, most, *traffic))
+        disk = _line(least, most, *n_bytes) if bytes_grow else (n_bytes[1], 0.0)
+        return cls(*_line(least, most, *seconds), *disk, statistics.median(one.input_bytes for one in large))
 
     def seconds(self, sizes: Iterable[float]) -> float:
         """Return the time that items of these sizes take [s]."""
@@ -132,9 +131,9 @@ class Cost:
         """Return the disk space that items of these sizes take [bytes]."""
         return sum(self.fixed_bytes + self.bytes_per_unit * size for size in sizes)
 
-    def traffic(self, sizes: Iterable[float]) -> float:
+    def traffic(self, sizes: Sequence[float]) -> float:
         """Return what the workers of items of these sizes receive and return [bytes]."""
-        return sum(self.fixed_traffic + self.traffic_per_unit * size for size in sizes)
+        return self.input_bytes * len(sizes) + self.n_bytes(sizes)
 
 
 def _line(x0: float, x1: float, y0: float, y1: float) -> tuple[float, float]:
@@ -238,9 +237,9 @@ def _survey(
             chain, before = progress.chain, [None, *progress.manifests]
             for index, (manifest, units) in enumerate(zip(progress.manifests, chain.units, strict=False)):
                 if _is_comparable(manifest, settings):
-                    traffic = traffic_of(stage.item(settings, chain, index, before[index], upstream), manifest.files)
+                    inputs = input_bytes_of(stage.item(settings, chain, index, before[index], upstream))
                     size, seconds = units * weights[chain.identity], manifest.record["seconds"]
-                    sample = Sample(size, seconds, bytes_of(manifest), traffic)
+                    sample = Sample(size, seconds, bytes_of(manifest), inputs)
                     samples.setdefault(kind_of(stage, chain), []).append(sample)
         upstream[stage.name] = results_of(stage, chains)
     return upstream, samples
@@ -349,7 +348,7 @@ def on_stated_gpu(settings: Settings, tflops: float) -> Sample:
     flop = 6.0 * settings.network.n_weights * settings.training.batch_size * n_iterations
     n_bytes = _BYTES["iterations"][0]
     throws = settings.throws.n_throws * _BYTES["throws"][1]
-    return Sample(n_iterations, flop / (tflops * 1e12), n_bytes, n_bytes + throws)
+    return Sample(n_iterations, flop / (tflops * 1e12), n_bytes, throws)
 
 
 def forecast_study(
@@ -399,7 +398,7 @@ def forecast_study(
         sources |= dict.fromkeys(trained, "stated rate")
     if measured := {kind for kind, source in sources.items() if source == "calibration"}:
         samples |= calibrate(settings if gpu_tflops is None else _without_gpu(settings), measured, say=say)
-    costs = {kind: Cost.fit(kind_samples) for kind, kind_samples in samples.items()}
+    costs = {kind: Cost.fit(found, bytes_grow=kind.stage != "train") for kind, found in samples.items()}
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     stages = tuple(forecast_stages(settings, remaining, costs, sources))
     store_bytes = None if store is None else store.size_bytes()

@@ -23,7 +23,8 @@ def test_a_study_on_two_clusters_is_compared_line_by_line():
         {"study": {"rows": [row, {**row, "where": "nodes"}], "n_equal": 1200, "n_digests": 1201}}
     ).splitlines()
     assert lines[0] == "| | this machine | nodes |"
-    assert "| workers busy with an item | 98 % | 98 % |" in lines
+    assert "| workers busy with items | 98 % | 98 % |" in lines
+    assert "| that the driver uses | 3.0 % | 3.0 % |" in lines
     assert "| puts into the object store | 96, 2 MB | 96, 2 MB |" in lines
     assert "| contents per second, both ways | 5.06 MB/s | 5.06 MB/s |" in lines
     assert lines[-1] == "| results equal to the byte | | 1,200 of 1,201 |"

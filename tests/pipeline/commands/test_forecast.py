@@ -16,9 +16,9 @@ from pipeline.commands.cost_model import (
     StudyForecast,
     forecast_stages,
     forecast_study,
+    input_bytes_of,
     kind_of,
     remaining_chains,
-    traffic_of,
 )
 from pipeline.commands.forecast_table import forecast_lines
 from pipeline.config.loading import load, parse, preset_path
@@ -29,7 +29,7 @@ from tasks.residual.torch_descent import n_cuda_devices
 
 
 def sample(size: float, seconds: float) -> Sample:
-    return Sample(size, seconds, n_bytes=100.0 + size, traffic=1000.0 + 2 * size)
+    return Sample(size, seconds, n_bytes=100.0 + size, input_bytes=1000.0)
 
 
 class CalibrationStarted(Exception):  # noqa: N818
@@ -45,13 +45,14 @@ def test_a_cost_is_a_line_through_the_medians_of_two_sizes():
     cost = Cost.fit([sample(1, 3), sample(2, 5), sample(2, 60), sample(2, 4)])
     assert (cost.fixed_seconds, cost.seconds_per_unit) == (1, 2)
     assert (cost.fixed_bytes, cost.bytes_per_unit) == (100, 1)
-    assert (cost.fixed_traffic, cost.traffic_per_unit) == (1000, 2) and cost.traffic([1, 10]) == 2000 + 22
+    assert cost.traffic([1, 10]) == 2 * 1000 + 200 + 11
     assert cost.seconds([1, 10]) == 2 + 22
 
 
 def test_a_cost_is_proportional_to_the_only_size():
     cost = Cost.fit([sample(4, 8)])
     assert (cost.fixed_seconds, cost.seconds_per_unit) == (0, 2)
+    assert cost.n_bytes([40]) == 1040 and Cost.fit([sample(4, 8)], bytes_grow=False).n_bytes([40]) == 104
 
 
 def test_noise_makes_no_cost_negative():
@@ -63,7 +64,7 @@ def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
     """The paper's chains: 1,000 generations of 64 designs, in batches of 4 under networks only."""
     paper = load(Settings, preset_path("paper"))
     remaining = [one for one in remaining_chains(paper, {}) if one.stage.name == "evolve"]
-    costs = {one.kind: Cost(0.0, 1.0 / one.chain.weight, 0.0, 0.0, 1e6, 0.0) for one in remaining}
+    costs = {one.kind: Cost(0.0, 1.0 / one.chain.weight, 0.0, 0.0, 1e6) for one in remaining}
     evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, {})}["evolve"]
     assert evolve.n_units == evolve.core_seconds == pytest.approx(310_000)
     assert evolve.longest_chain_seconds == pytest.approx(1000)
@@ -179,18 +180,16 @@ def test_limits_of_the_driver_are_above_0(capsys, tmp_path, option, value):
     assert f"{option}: expected a number above 0, got {float(value):g}" in said
 
 
-def test_traffic_is_what_workers_receive_and_return(study, settings):
-    """A trial's second segment receives the first one's population; both of Residual Slush receive the ensemble."""
-    store, upstream = study
+def test_inputs_are_the_files_that_an_item_reads(study, settings):
+    """A trial's second segment reads the first one's population; in Residual Slush the first one reads the ensemble."""
+    _, upstream = study
     (stage,) = (stage for stage in STAGES if stage.name == "evolve")
     chains = {chain.identity.label: chain for chain in stage.plan(settings)}
     done = labelled(upstream["evolve"].done)
     sent = {}
     for label in ("dry_land/1m/trial-0", "residual_slush/1m/trial-0"):
         for index, before in enumerate([None, done[label][0]]):
-            item = stage.item(settings, chains[label], index, before, upstream)
-            returned = store.item_bytes("evolve", item.key) - store.manifest_path("evolve", item.key).stat().st_size
-            sent[label, index] = traffic_of(item, done[label][index].files) - returned
+            sent[label, index] = input_bytes_of(stage.item(settings, chains[label], index, before, upstream))
     population = done["dry_land/1m/trial-0"][0].files["population.safetensors"].n_bytes
     weights = sum(
         entry.n_bytes
