@@ -17,10 +17,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.engines import N_STEPS
+from benchmarks.networks import peak_gflops
 from benchmarks.published import RESULTS
 from pipeline.store.encoding import encode_arrays, encode_table
 from pipeline.store.provenance import environment as provenance
-from tasks.design import Designs
+from tasks.design import N_LINKS, Designs
 from tasks.evolution import EMPTY_POPULATION, Afpo, Evaluation, Trial, evaluate, evolve
 from tasks.residual import Architecture, Throws, Training, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble
@@ -124,16 +126,32 @@ def profile(environment: Environment) -> dict[str, Any]:
         "seconds": round(seconds, 5),
         "n_samples": sum(samples.values()),
         "shares": {part: round(share, 4) for part, share in found.items()},
+        "gflop": round(gflop(environment), 3),
     }
+
+
+def gflop(environment: Environment) -> float:
+    """Return the multiplications and additions of the networks in a generation [10⁹]."""
+    if not isinstance(environment.medium, Ensemble):
+        return 0.0
+    n_rows = N_DESIGNS * N_LINKS * N_STEPS  # evaluations of a member
+    return 2e-9 * n_rows * sum(weights.size for weights in environment.medium.weights)
 
 
 def main() -> None:
     """Profile every environment and write the results."""
+    peak = max(peak_gflops() for _ in range(5))
     rows = []
     for name, environment in environments().items():
         rows.append({"environment": name, **profile(environment)})
         print(rows[-1], flush=True)
-    document = {"schema": "puddle.kernel_profile", "version": 1, "made_with": dict(provenance()), "rows": rows}
+    document = {
+        "schema": "puddle.kernel_profile",
+        "version": 1,
+        "made_with": dict(provenance()),
+        "peak_gflops": round(peak),
+        "rows": rows,
+    }
     text = json.dumps(document, indent=1, ensure_ascii=False)
     (RESULTS / "kernel-profile.json").write_text(f"{text}\n", encoding="utf-8")
 

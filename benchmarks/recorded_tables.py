@@ -76,13 +76,15 @@ def intervals_of_accuracy(results: Mapping[str, Any]) -> str:
 
 
 def kernels(results: Mapping[str, Any]) -> str:
-    """Tabulate what a generation takes, and the shares of its parts."""
+    """Tabulate what a generation takes, the shares of its parts, and how close to the peak the networks run."""
     parts = list(results["rows"][0]["shares"])
-    lines = [f"| {' | '.join(('evolved in', 'a generation', *parts, 'the rest'))} |", "|---" + "|--:" * 4 + "|"]
+    headings = ("evolved in", "a generation", *parts, "the rest", "networks, of the fp32 peak")
+    lines = [f"| {' | '.join(headings)} |", "|---" + "|--:" * (len(headings) - 1) + "|"]
     for row in results["rows"]:
         shares = [row["shares"][part] for part in parts]
-        seconds = f"{1e3 * row['seconds']:.1f} ms"
-        cells = (row["environment"], seconds, *map(_percent, (*shares, 1 - sum(shares))))
+        cells = [row["environment"], f"{1e3 * row['seconds']:.1f} ms", *map(_percent, (*shares, 1 - sum(shares)))]
+        running = row["shares"]["networks"] * row["seconds"]
+        cells.append(_percent(row["gflop"] / running / results["peak_gflops"]) if row["gflop"] else "")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

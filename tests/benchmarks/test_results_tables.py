@@ -123,9 +123,16 @@ def test_pages_say_what_results_were_made_with(made, words):
 
 
 def test_what_no_kernel_takes_is_the_rest_of_a_generation():
-    row = {"environment": "Dry Land", "seconds": 0.0104, "shares": {"base simulator": 0.75, "networks": 0.0}}
-    assert kernels({"rows": [row]}).splitlines() == [
-        "| evolved in | a generation | base simulator | networks | the rest |",
-        "|---|--:|--:|--:|--:|",
-        "| Dry Land | 10.4 ms | 75 % | 0 % | 25 % |",
+    dry = {
+        "environment": "Dry Land",
+        "seconds": 0.0104,
+        "shares": {"base simulator": 0.75, "networks": 0.0},
+        "gflop": 0,
+    }
+    learned = {"environment": "Ê", "seconds": 0.1, "shares": {"base simulator": 0.3, "networks": 0.5}, "gflop": 12.0}
+    assert kernels({"peak_gflops": 300, "rows": [dry, learned]}).splitlines() == [
+        "| evolved in | a generation | base simulator | networks | the rest | networks, of the fp32 peak |",
+        "|---|--:|--:|--:|--:|--:|",
+        "| Dry Land | 10.4 ms | 75 % | 0 % | 25 % |  |",
+        "| Ê | 100.0 ms | 30 % | 50 % | 20 % | 80 % |",  # 12 GFLOP in 50 ms are 240 GFLOP/s
     ]
