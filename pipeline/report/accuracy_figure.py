@@ -1,6 +1,6 @@
 """Figures of prediction accuracy: paper, Fig. 3, and every way of aggregating the ensemble members."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from pipeline.report.drawing import (
 from pipeline.report.wording import signed
 from tasks.analysis import paper
 from tasks.analysis.prediction import Figure as Statistic
-from tasks.analysis.prediction import Regression, is_member, mean_less_deviations
+from tasks.analysis.prediction import Regression, is_member, mean_less_deviations, mean_of_ensemble
 from tasks.analysis.uncertainty import Estimate
 from tasks.evolution import PAPERS_OBJECTIVE
 from tasks.world import ENVIRONMENTS
@@ -40,13 +40,14 @@ _NOT_ASSESSED = "no design has been simulated under every member yet"
 
 
 def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]:
-    """Draw 2-D histograms with regression and ideal lines, for each member and for the mean of the members."""
+    """Draw 2-D histograms with regression and ideal lines, for each member and for the mean of every ensemble."""
     accuracy = report.findings.accuracy
     if accuracy is None or accuracy.histograms.reason is not None:
         reason = accuracy and accuracy.histograms.reason
         raise NothingToDraw(report.findings.why("accuracy", reason or _NOT_ASSESSED))
     histograms = accuracy.histograms
     fits = {fit.name: fit for fit in accuracy.regressions}
+    ensembles = _ensembles(report.findings.other_regressions) | {_MEAN: ("ensemble", fits)}
     figure, panels = panel_grid(len(histograms.names), n_columns, row_height=2.45)
     norm = LogNorm(1, max(2, int(histograms.counts.max())))
     low, high = float(histograms.edges[0]), float(histograms.edges[-1])
@@ -57,11 +58,12 @@ def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure,
         # Not exactly square: Matplotlib leaves no room for the labels of a figure whose panels keep their proportions.
         panel.imshow(seen, origin="lower", extent=square, aspect="auto", **looks)
         panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=DASHED)
-        title = ["ensemble" if name == _MEAN else name]
-        for predictor, dashes in ((name, "-"), (_CAUTIOUS, DOTTED)) if name == _MEAN else ((name, "-"),):
-            if fit := fits.get(predictor):
+        label, found = ensembles.get(name, (name, fits))
+        title = [label]
+        for predictor, dashes in ((_MEAN, "-"), (_CAUTIOUS, DOTTED)) if name in ensembles else ((name, "-"),):
+            if fit := found.get(predictor):
                 _regression_line(panel, fit, low, high, dashes)
-                symbol = f"{_symbols(predictor)}: " if name == _MEAN else ""
+                symbol = f"{_symbols(predictor)}: " if name in ensembles else ""
                 title.append(f"{symbol}R {_two_digits(fit.r)}, m {_two_digits(fit.slope)}")
         panel.set_title("\n".join(title), fontsize=9)
         panel.set(xlim=(low, high), ylim=(low, high))
@@ -82,8 +84,29 @@ def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure,
         f"against the mean μ of the members, for {n} designs from all generations of evolution in True Slush and on "
         "Dry Land. Darker cells hold more designs. R is Pearson’s correlation and m the slope of the regression: a "
         "slope below 1 means that the model overestimates how far robots get. The dotted line is the regression on "
-        f"μ − σ{fitness}. {_outside(histograms.n_outside)}"
+        f"μ − σ{fitness}. {_of_others(histograms.names, ensembles)}{_outside(histograms.n_outside)}"
     )
+
+
+_Fits = Mapping[str, Regression]
+
+
+def _ensembles(regressions: Sequence[Regression]) -> dict[str, tuple[str, _Fits]]:
+    """Return a title and the regressions of the ensembles other than the main one, by the name of their means."""
+    titles = {kind.learns_from: kind.label for kind in ENVIRONMENTS.values() if kind.networks == "all"}
+    groups = dict.fromkeys(fit.learned_from for fit in regressions)
+    return {
+        mean_of_ensemble(group): (
+            f"ensemble, {titles[group].lower()}",
+            {fit.name: fit for fit in regressions if fit.learned_from == group},
+        )
+        for group in groups
+    }
+
+
+def _of_others(names: Sequence[str], ensembles: Mapping[str, tuple[str, _Fits]]) -> str:
+    drawn = [ensembles[name][0].removeprefix("ensemble, ") for name in names if name in ensembles and name != _MEAN]
+    return f"The last panel shows the ensemble that learned from {' and '.join(drawn)}. " if drawn else ""
 
 
 def _outside(n_outside: Any) -> str:

@@ -1,6 +1,6 @@
 """Figures of the champions and of their evolution: paper, Fig. 4, and fitness by generation."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from tasks.world import ENVIRONMENTS, EnvironmentName
 CURVE_POINTS = 120  # generations drawn per fitness curve, so that a page of a hundred curves stays small
 
 _MOST_IN_THREE_COLUMNS = 6  # entries of a legend; with more arms, some have long names
-_MOST_LARGE_LABELS = 5  # arms whose names fit side by side in the usual size
+_MOST_LARGE_LABELS, _MOST_SMALL_LABELS = 5, 6  # arms whose names fit side by side in the usual size, and a smaller one
 
 _TRANSFERS: tuple[Measure, Measure] = ("zero_shot", "adapted")
 _NO_TRIALS = "no trial has finished yet"
@@ -66,7 +66,7 @@ def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
             ticks[ENVIRONMENTS[environment].label.replace(" ", "\n")] = float(np.mean(centers))
             center += 0.45
     axes.axhline(0, color=INK, lw=0.8)
-    axes.set_xticks(list(ticks.values()), list(ticks), fontsize=None if len(ticks) <= _MOST_LARGE_LABELS else "small")
+    axes.set_xticks(list(ticks.values()), list(ticks), fontsize=_label_size(len(ticks)))
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.7, center - 0.65)
     axes.set_ylabel("displacement in True Slush [m]")
@@ -89,6 +89,11 @@ def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
     )
 
 
+def _label_size(n_arms: int) -> str | None:
+    """Return a size in which the names of arms fit side by side."""
+    return None if n_arms <= _MOST_LARGE_LABELS else "small" if n_arms <= _MOST_SMALL_LABELS else "x-small"
+
+
 def _bar(axes: Any, center: float, environment: EnvironmentName, measure: Measure, found: TrialMean) -> None:
     style = ENVIRONMENTS[environment]
     fill = {"facecolor": style.adapted_color, "hatch": "////"} if measure == "adapted" else {"facecolor": style.color}
@@ -100,44 +105,54 @@ def _bar(axes: Any, center: float, environment: EnvironmentName, measure: Measur
 
 
 def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
-    """Draw lines over depth for every environment, zero-shot solid and adapted dashed, with bands of ± 1 SD."""
+    """Draw lines over depth for every environment, a panel for zero-shot and one for adapted, with ± 1 SD."""
     listed = data.depths(report.trials)
     if len(listed) < 2:
         raise NothingToDraw("it compares depths, and all trials so far are at one depth" if listed else _NO_TRIALS)
-    figure = Figure(figsize=(FIGURE_WIDTH, 4.3), layout="constrained")
-    axes = figure.add_subplot()
-    handles: dict[str, Line2D] = {}
-    for environment in data.environments(report.trials):
-        style = ENVIRONMENTS[environment]
-        for measure in _TRANSFERS:
-            points = [
-                (depth, found)
-                for depth in listed
-                if (found := data.trial_mean(data.arm(report.trials, environment, depth), measure))
-            ]
-            if not points:
-                continue
-            adapted = measure == "adapted"
-            mean, sd = np.array([(found.mean, found.sd or 0.0) for _, found in points]).T
-            _mean_and_band(axes, [depth for depth, _ in points], mean, sd, style.color, dashed=adapted)
-            axes.lines[-1].set(marker=style.marker, ms=5, mfc="#ffffff" if adapted else style.color, mec=style.color)
-            handles[style.label] = Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label)
-            if adapted:
-                handles["adapted"] = Line2D([], [], color=INK, ls=DASHES, label="adapted")
-    if not handles:
+    present = data.environments(report.trials)
+    lines = {
+        measure: {
+            environment: points
+            for environment in present
+            if (points := _over_depths(report.trials, environment, measure, listed))
+        }
+        for measure in _TRANSFERS
+    }
+    drawn = [measure for measure in _TRANSFERS if lines[measure]]
+    if not drawn:
         raise NothingToDraw(_why_not_scored(report))
-    if dashed := handles.pop("adapted", None):
-        handles |= {"zero-shot": Line2D([], [], color=INK, label="zero-shot"), "adapted": dashed}
-    axes.axhline(0, color=INK, lw=0.8)
-    axes.set_xlabel("depth [m]")
-    axes.set_ylabel("displacement in True Slush [m]")
-    axes.grid()
-    legend(figure, list(handles.values()), n_columns=3 if len(handles) <= _MOST_IN_THREE_COLUMNS else 2)
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.8 * len(drawn) + 1.0), layout="constrained")
+    panels = figure.subplots(len(drawn), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for panel, measure in zip(panels, drawn, strict=True):
+        for k, (environment, points) in enumerate(lines[measure].items()):
+            style, shift = ENVIRONMENTS[environment], 0.07 * (k - (len(lines[measure]) - 1) / 2)
+            at = [listed.index(depth) + shift for depth, _ in points]
+            mean, sd = np.array([(found.mean, found.sd or 0.0) for _, found in points]).T
+            panel.errorbar(at, mean, sd, color=style.color, marker=style.marker, ms=5, elinewidth=0.9)
+        panel.axhline(0, color=INK, lw=0.8)
+        panel.set_title(_TITLES[measure])
+        panel.grid(axis="y")
+    panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
+    panels[-1].set_xlabel("depth [m]")
+    figure.supylabel("displacement in True Slush [m]")
+    styles = [ENVIRONMENTS[environment] for environment in present if any(environment in lines[of] for of in drawn)]
+    handles = [Line2D([], [], color=of.color, marker=of.marker, ms=5, label=of.label) for of in styles]
+    legend(figure, handles, n_columns=3 if len(handles) <= _MOST_IN_THREE_COLUMNS else 2)
     return figure, (
-        "Displacement in True Slush by depth, for the champions of each environment: zero-shot (solid lines), and with "
-        "their controllers adapted to True Slush (dashed lines, hollow marks). Lines are means over trials, bands "
-        "± 1 SD."
+        "Displacement in True Slush by depth, for the champions of each environment: zero-shot, and with their "
+        "controllers adapted to True Slush. Marks are means over trials, whiskers ± 1 SD; depths are evenly spaced."
     )
+
+
+_TITLES: Mapping[Measure, str] = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
+
+
+def _over_depths(
+    trials: Sequence[TrialResult], environment: EnvironmentName, measure: Measure, depths: Sequence[float]
+) -> list[tuple[float, TrialMean]]:
+    """Return the means of an arm, by depth."""
+    found = ((depth, data.trial_mean(data.arm(trials, environment, depth), measure)) for depth in depths)
+    return [(depth, of) for depth, of in found if of]
 
 
 DASHES = (0, (3, 2))

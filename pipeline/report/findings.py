@@ -103,7 +103,7 @@ class Accuracy:
 
     depth: float  # [m]
     regressions: Sequence[Regression]  # for every member ("member 0", ...) and aggregate ("mean", "mean - 1 sd", ...)
-    histograms: Histograms  # for the members and their mean
+    histograms: Histograms  # for the members and their mean, and the means of the other ensembles
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from tasks.analysis.attribution import Attribution
 from tasks.analysis.comparison import Contrast
 from tasks.analysis.coverage import CoverageRow
 from tasks.analysis.member_error import MemberError
-from tasks.analysis.prediction import Histograms, Regression, is_member
+from tasks.analysis.prediction import Histograms, Regression, is_member, mean_of_ensemble
 from tasks.analysis.variance_split import VarianceRow
 from tasks.arrays import Float64
 from tasks.design import Designs
@@ -170,7 +170,8 @@ def _accuracy(files: Files, settings: Settings) -> Accuracy | None:
     if not regressions:
         return None
     table = read_table(files, "histograms")
-    shown = [i for i, name in enumerate(table["name"]) if name == "mean" or is_member(name)]
+    means = ("mean", *map(mean_of_ensemble, settings.throw_groups[1:]))
+    shown = [i for i, name in enumerate(table["name"]) if name in means or is_member(name)]
     if not shown:
         return None
     names, edges = tuple(table["name"][shown].tolist()), table["edges"][0]

@@ -74,6 +74,11 @@ class Histograms:
     reason: str | None  # why there are no histograms, if so; counts then have no bins
 
 
+def mean_of_ensemble(group: str) -> str:
+    """Name the mean over the ensemble that learned from a group of throws which is not the main one."""
+    return f"mean, {group}"
+
+
 def mean_less_deviations(k: float) -> str:
     """Name the predictor μ - kσ."""
     return f"mean - {k:g} sd" if k else "mean"

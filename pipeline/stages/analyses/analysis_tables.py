@@ -6,7 +6,7 @@ from pipeline.store.encoding import decode_json, decode_table, encode_json, enco
 from pipeline.store.tables import Columns, rows_of
 from pipeline.workflow.stage import Files
 
-ANALYSIS_VERSION = 12  # version of the stage and of its tables
+ANALYSIS_VERSION = 13  # version of the stage and of its tables
 REASONS = "reasons.json"
 
 Tables = dict[str, Columns]

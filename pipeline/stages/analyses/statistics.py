@@ -27,6 +27,7 @@ from tasks.analysis.prediction import (
     aggregates,
     histograms,
     mean_less_deviations,
+    mean_of_ensemble,
     members,
     members_ranges,
 )
@@ -91,6 +92,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     main = spec.throw_groups[0] if spec.throw_groups else ""
     shares = assessed_among(inputs, main) if main else []
     predicted, true, trial, replicate = predictions = _predictions(spec, shares)
+    others = {group: _predictions(spec, assessed_among(inputs, group)) for group in spec.throw_groups[1:]}
     regressions = _accuracy(spec, main, predictions, rng)
     of_ranges = generator(spec.seed, "analyse", "members-ranges")
     ranges = members_ranges(predicted, true, rng=of_ranges, trial=trial, replicate=replicate)
@@ -113,8 +115,8 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     assessed = (regressions, ranges) if at_papers_depth else ((), {})
     return {
         "scores": table,
-        "regressions": columns_of(Regression, [*regressions, *_of_other_ensembles(spec, inputs)]),
-        "histograms": _drawn(predicted, true, spec.deviation),
+        "regressions": columns_of(Regression, [*regressions, *_of_other_ensembles(spec, others)]),
+        "histograms": _drawn(predictions, others, spec.deviation),
         "contrasts": columns_of(Contrast, contrasts),
         "attribution": columns_of(Attribution, attributions),
         "variance": columns_of(VarianceRow, variances(scores)),
@@ -122,16 +124,16 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     }, reasons
 
 
-def _of_other_ensembles(spec: StatisticsSpec, inputs: Inputs) -> list[Regression]:
-    """Assess the ensembles that learned from other throws than the main one."""
-    found = []
-    for group in spec.throw_groups[1:]:
-        predictions = _predictions(spec, assessed_among(inputs, group))
-        found += _accuracy(spec, group, predictions, generator(spec.seed, "analyse", "accuracy", group))
-    return found
-
-
 _Predictions = tuple[Float64, Float64, list[str], Int64]
+
+
+def _of_other_ensembles(spec: StatisticsSpec, others: Mapping[str, _Predictions]) -> list[Regression]:
+    """Assess the ensembles that learned from other throws than the main one."""
+    return [
+        row
+        for group, predictions in others.items()
+        for row in _accuracy(spec, group, predictions, generator(spec.seed, "analyse", "accuracy", group))
+    ]
 
 
 def _accuracy(
@@ -155,17 +157,21 @@ def _predictions(spec: StatisticsSpec, shares: Sequence[Files]) -> _Predictions:
     return table["predicted"].T, table["true"], trial, table["trial"] % spec.trials[0].n_replicates
 
 
-def _drawn(predicted: Float64, true: Float64, deviation: Deviation) -> Columns:
+def _drawn(predictions: _Predictions, others: Mapping[str, _Predictions], deviation: Deviation) -> Columns:
     """Count true over predicted displacement, for each member, their mean, and their mean minus a deviation.
 
     Args:
-        predicted: (n_members, n_designs) [m].
-        true: (n_designs,) [m].
+        predictions: those of the main ensemble.
+        others: those of the other ensembles, by the group of throws that they learned from; only their means count.
         deviation: what σ over members is.
     """
+    predicted, true, _, _ = predictions
     together = aggregates(predicted, deviation) if len(predicted) else {}
     chosen = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1)) if name in together}
-    found = histograms(members(predicted) | chosen, true)
+    of_others = {
+        mean_of_ensemble(group): of[0].mean(axis=0) for group, of in others.items() if np.array_equal(of[1], true)
+    }
+    found = histograms(members(predicted) | chosen | of_others, true)
     n = len(found.names)
     if found.reason is not None:  # nothing was assessed, or every design diverged, which the regressions state
         none = np.zeros((0, 1), np.int64)

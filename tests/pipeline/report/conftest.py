@@ -125,7 +125,7 @@ def findings() -> Findings:
     scores = Scores(evolved_in, depth, number, zero_shot + 3.0, zero_shot, adapted)
     fits = accuracy(predicted, true, rng=rng)
     ranges = members_ranges(predicted, true, rng=rng)
-    shown = members(predicted) | {"mean": aggregates(predicted)["mean"]}
+    shown = members(predicted) | {"mean": aggregates(predicted)["mean"], "mean, designed_throws": 0.9 * true + 0.5}
     ranked = rank_exploiters(predicted[:, :6].max(axis=0), true[:6], predicted[:, :6].std(axis=0))
     moved, loss = Moved(5.0, 1.0, 4.0), mean(np.array([1.0, 2.0, 3.0]))
     retried = ChampionRow(0, True, moved, moved, Luck(60.0, 58.0, loss, 1.0, n_diverged=0, n_tries=3))

@@ -161,6 +161,7 @@ def test_r_and_slope_are_above_each_histogram(drawn, study):
             assert f"R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
         for symbol, fit in (("μ", fits["mean"]), ("μ − σ", fits["mean - 1 sd"])):
             assert f"{symbol}: R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
+        assert "ensemble, designed throws" in shown
 
 
 def test_every_aggregate_is_drawn(drawn, study):
@@ -188,7 +189,7 @@ def test_the_papers_values_have_a_colour_of_their_own(drawn):
 def test_labels_of_the_accuracy_figure_stay_clear_of_tick_labels(study, n_members, n_columns):
     accuracy = study.findings.accuracy
     last = accuracy.histograms
-    names = (*(f"member {k}" for k in range(n_members)), "mean")
+    names = (*(f"member {k}" for k in range(n_members)), "mean", "mean, designed_throws")
     shown = replace(
         last,
         names=names,

@@ -161,6 +161,7 @@ def test_both_ensembles_are_assessed_on_the_same_designs(sets):
     regressions = _statistics(store, upstream, "regressions")
     assert set(regressions["learned_from"]) == {"throws", "designed_throws"}
     assert set(regressions["n_replicates"]) == {2}
+    assert _statistics(store, upstream, "histograms")["name"].tolist()[-1] == "mean, designed_throws"
     shares = labelled(upstream["assess"].done)
     for k in range(3):
         one, other = (
