@@ -68,7 +68,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     shares = {operator: rejected[operator] / drawn[operator] for operator in OPERATORS if rejected[operator]}
     if shares:
         listed = ", ".join(f"{share:.1%} of {drawn[operator]:,} by {operator}" for operator, share in shares.items())
-        lines.append(f"drawn again because unjoined links overlapped at rest: {listed}")
+        lines.append(f"drawn again because evolution.morphology did not allow them: {listed}")
         metrics |= {f"rejected_share.{operator}": share for operator, share in shares.items()}
     return Summary(lines=lines, metrics=metrics, trials=trials)
 

@@ -81,3 +81,9 @@ def test_throws_without_a_link_of_a_robot_are_refused():
 def test_the_papers_design_needs_a_number_of_steps():
     with pytest.raises(ValidationError, match="n_steps is null, which only the design robots decides"):
         Throws(n_steps=None)
+
+
+def test_links_that_burst_apart_do_not_widen_the_ranges():
+    built = Physics(passive_joints="locked", max_motor_torque=30.0)
+    assert robot_ranges(built.model_copy(update={"link_collisions": True})) == robot_ranges(built)
+    assert robot_ranges(built).max_velocity < RANGES.max_velocity
