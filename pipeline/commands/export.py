@@ -14,14 +14,20 @@ from pipeline.commands.output import to_stderr, to_stdout
 def export(
     study: StudyArgument,
     out: Annotated[Path, typer.Option("--out", help="A new folder, or an earlier export to replace.")],
-    tables: Annotated[Literal["parquet", "csv"], typer.Option("--format", help="Format of the tables.")] = "parquet",
+    tables: Annotated[
+        list[str] | None, typer.Option("--table", help="Write this table and no other that is not named; none: all.")
+    ] = None,
+    kind: Annotated[Literal["parquet", "csv"], typer.Option("--format", help="Format of the tables.")] = "parquet",
     store: StorePath = DEFAULT_STORE,
 ) -> None:
-    """Write a study's champions, tables and figures, and its transfer results in LaTeX, to a folder."""
+    """Write a study's champions, tables and figures, and its transfer results in LaTeX, to a folder.
+
+    The histories of a large study, all designs that ever lived, are gigabytes; --table champions leaves them out.
+    """
     from pipeline.results.export_folder import export_study
     from pipeline.results.recorded_study import open_study
 
     with interruptible():
-        lines = export_study(open_study(study, store), out, tables, say=to_stderr)
+        lines = export_study(open_study(study, store), out, kind, tables=tables, say=to_stderr)
     for line in lines:
         to_stdout(line)

@@ -135,8 +135,10 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
     panels[-1].set_xlabel("depth [m]")
     figure.supylabel("displacement in True Slush [m]")
-    styles = [ENVIRONMENTS[environment] for environment in present if any(environment in lines[of] for of in drawn)]
-    handles = [Line2D([], [], color=of.color, marker=of.marker, ms=5, label=of.label) for of in styles]
+    styles = [
+        ENVIRONMENTS[environment] for environment in present if any(environment in lines[measure] for measure in drawn)
+    ]
+    handles = [Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label) for style in styles]
     legend(figure, handles, n_columns=3 if len(handles) <= _MOST_IN_THREE_COLUMNS else 2)
     return figure, (
         "Displacement in True Slush by depth, for the champions of each environment: zero-shot, and with their "
@@ -151,8 +153,8 @@ def _over_depths(
     trials: Sequence[TrialResult], environment: EnvironmentName, measure: Measure, depths: Sequence[float]
 ) -> list[tuple[float, TrialMean]]:
     """Return the means of an arm, by depth."""
-    found = ((depth, data.trial_mean(data.arm(trials, environment, depth), measure)) for depth in depths)
-    return [(depth, of) for depth, of in found if of]
+    means = ((depth, data.trial_mean(data.arm(trials, environment, depth), measure)) for depth in depths)
+    return [(depth, found) for depth, found in means if found]
 
 
 DASHES = (0, (3, 2))

@@ -125,12 +125,12 @@ def panel_grid(n_panels: int, n_columns: int, *, row_height: float, share_y: boo
 
     Args:
         n_panels: number of panels.
-        n_columns: panels per row at most; more than two widen the figure.
+        n_columns: panels per row at most; more than two widen the figure. Rows have about as many panels each.
         row_height: height of a row [inch].
         share_y: whether all panels have the same vertical axis.
     """
-    n_columns = min(n_columns, n_panels)
     n_rows = -(-n_panels // n_columns)
+    n_columns = -(-n_panels // n_rows)
     figure = Figure(figsize=(FIGURE_WIDTH * max(1.0, n_columns / 2), row_height * n_rows + 0.75), layout="constrained")
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=share_y, squeeze=False).ravel()
     for panel in panels[n_panels:]:

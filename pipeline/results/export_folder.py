@@ -18,7 +18,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,7 @@ import yaml
 
 from pipeline.errors import PuddleError
 from pipeline.report.column_figures import draw_for_print
-from pipeline.report.drawing import Missing
+from pipeline.report.drawing import Missing, count
 from pipeline.report.transfer_latex import transfer_latex
 from pipeline.results.recorded_study import Study
 from pipeline.results.results_file import results_of
@@ -49,27 +49,41 @@ EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 _ROWS_PER_GROUP = 100_000  # of a Parquet file, which is written trial by trial
 
 
-def export_study(study: Study, out: Path, kind: Literal["parquet", "csv"], *, say: Callable[[str], None]) -> list[str]:
+def export_study(
+    study: Study,
+    out: Path,
+    kind: Literal["parquet", "csv"],
+    *,
+    tables: Sequence[str] | None = None,
+    say: Callable[[str], None],
+) -> list[str]:
     """Write the folder, or nothing.
 
     Args:
         study: the study.
         out: the folder: a new one, an empty one, or an earlier export, which is replaced.
         kind: format of the tables.
+        tables: names of the tables to write; all of the study's if there are none.
         say: shows what is being written.
 
     Returns:
         Lines that say what was written, what was preserved and what is missing.
 
     Raises:
-        PuddleError: the folder is somebody else's or can't be written, the study has no results yet, or an item of the
-            store is damaged.
+        PuddleError: the folder is somebody else's or can't be written, the study has no results yet or not such a
+            table, or an item of the store is damaged.
     """
     place = EXPORT.check_place(out)
     if place.is_relative_to(study.store.root):
         raise PuddleError(f"{out}: expected a folder outside the store {study.store.root}. Choose another with --out.")
     if not study.tables:
         raise PuddleError(f"study {study.name}: none of its work is done yet, so there is nothing to export")
+    chosen = list(dict.fromkeys(tables or study.tables))
+    if unknown := [name for name in chosen if name not in study.tables]:
+        raise PuddleError(
+            f"study {study.name} has no table {', '.join(unknown)}. Expected --table to be one of "
+            f"{', '.join(study.tables)}."
+        )
     settings = study.settings.model_dump(mode="json")
     progress: dict[str, Json] = {name: vars(one) for name, one in study.progress.items()}
     manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
@@ -77,8 +91,8 @@ def export_study(study: Study, out: Path, kind: Literal["parquet", "csv"], *, sa
         folder.write("settings.yaml", yaml.safe_dump(settings, sort_keys=False).encode())
         folder.write("results.json", json.dumps(results_of(study), indent=1, ensure_ascii=False).encode() + b"\n")
         n_champions = _write_champions(study, folder)
-        say(f"writing {len(study.tables)} tables")
-        n_rows = _write_tables(study, folder, kind)
+        say(f"writing {count(chosen, 'table')}")
+        n_rows = _write_tables(study, chosen, folder, kind)
         say("drawing figures")
         drawn = _write_figures(study, folder)
     lines = [*folder.preserved, *(f"No figure {figure.name}: {figure.reason}." for figure in drawn.missing)]
@@ -87,8 +101,8 @@ def export_study(study: Study, out: Path, kind: Literal["parquet", "csv"], *, sa
             lines.append(
                 f"{name}: {one.missing} work items are missing and {one.failed} failed; the export lacks them."
             )
-    n_tables, n_figures = len(study.tables), len(drawn.captions)
-    counts = f"{n_champions} champions, {n_tables} tables of {n_rows:,} rows, {n_figures} figures, transfer.tex"
+    listed = f"{count(chosen, 'table')} of {n_rows:,} rows"
+    counts = f"{n_champions} champions, {listed}, {len(drawn.captions)} figures, transfer.tex"
     return [*lines, f"study {study.name}: {counts}: {place}"]
 
 
@@ -108,14 +122,14 @@ def _write_champions(study: Study, folder: NewFolder) -> int:
 # -- tables ----------------------------------------------------------------------------------------------------------
 
 
-def _write_tables(study: Study, folder: NewFolder, kind: str) -> int:
-    """Write every table, and the list of their columns; return the number of rows."""
+def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: str) -> int:
+    """Write tables, and the list of their columns; return the number of rows."""
     n_rows = 0
     sheet = io.StringIO()
     columns = csv.writer(sheet, lineterminator="\n")
     columns.writerow(("table", "column", "type", "unit"))
     write = _write_parquet if kind == "parquet" else _write_csv
-    for name in study.tables:
+    for name in tables:
         path = folder.place(f"tables/{name}.{kind}")
         schema, n_of_table = write(path, partial(study.parts, name))
         disk.fsync(path)

@@ -29,8 +29,8 @@ WRITTEN_AS_A_WHOLE = {"docs/sensitivity.md"}  # from its results file, which a t
 
 EXCEPTIONS = {
     "the depth of the ground": (
-        *("at 9 m", "in 9 m of", "# 9 m", "| 9 m at", "9 m below", "in 2 m of", "At 2 m, over", ": 2 m of slush"),
-        *("in true slush at 0.5, 1 and 3 m", "3 trials each at 0.5, 1 and 3 m", "tank/residual_slush/2m"),
+        *("at 9 m", "in 9 m of", "At 9 m:", "| 9 m at", "9 m below", "in 2 m of", "At 2 m, over", ": 2 m of slush"),
+        *("3 trials each at 0.5, 1 and 3 m", "tank/residual_slush/2m"),
     ),
     "the paper's own numbers": (
         *("and 13.6 m in the paper", "would give 13.6 m too", "recover 67 % of the displacement of *E*"),
@@ -49,7 +49,8 @@ EXCEPTIONS = {
         ),
         *("80 % of the fluid that they displace", "1 m/s is 0.26 m/s on the bench", "20 kg·cm are 1.96 N·m"),
         *("standard deviation of 2 m, a mean is known to about ± 2.3 m", "jumps above 16 m/s"),
-        *("weight decay 0.01", "a warm-up of 0.01 of the iterations"),
+        *("weight decay 0.01", "a warm-up of 0.01 of the iterations", "no motor turns faster than 1 rad/s"),
+        *("a DS3225 servo reaches 1.85 unloaded at this scale, and 1.5 while it gives",),
     ),
     "the ranges of designed throws, which tests/tasks/residual/test_robot_ranges.py compares with the page": (
         "99.9 % of their states are slower than 4.8 m/s and 6.1 rad/s",

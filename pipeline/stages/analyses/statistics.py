@@ -169,7 +169,9 @@ def _drawn(predictions: _Predictions, others: Mapping[str, _Predictions], deviat
     together = aggregates(predicted, deviation) if len(predicted) else {}
     chosen = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1)) if name in together}
     of_others = {
-        mean_of_ensemble(group): of[0].mean(axis=0) for group, of in others.items() if np.array_equal(of[1], true)
+        mean_of_ensemble(group): each.mean(axis=0)
+        for group, (each, of_same, *_) in others.items()
+        if np.array_equal(of_same, true)
     }
     found = histograms(members(predicted) | chosen | of_others, true)
     n = len(found.names)

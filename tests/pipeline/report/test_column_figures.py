@@ -44,7 +44,9 @@ def test_a_figure_is_as_wide_as_a_column_in_every_format(study, few):
     figures = {figure.name: figure for figure in draw_for_print(study)}
     assert list(figures) == list(SHOWN[:3])  # two depths fit a column, so that a wide variant would be the same
     narrow, wide = figures["transfer_at_depth"], figures["prediction_accuracy_wide"]
-    for figure, inches in ((narrow, COLUMN_WIDTH), (wide, PAGE_WIDTH)):
+    three_panels = 1.5 * COLUMN_WIDTH  # two fill a column
+    assert three_panels < PAGE_WIDTH
+    for figure, inches in ((narrow, COLUMN_WIDTH), (wide, three_panels)):
         assert isinstance(figure, ColumnFigure) and figure.caption.endswith(".")
         svg = ElementTree.fromstring(figure.svg)
         assert float(svg.attrib["width"].removesuffix("pt")) == pytest.approx(72 * inches)

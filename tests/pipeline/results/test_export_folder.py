@@ -105,6 +105,17 @@ def test_csv_has_a_column_for_each_element(recorded, exported, tmp_path, capsys)
     } - {"tank"}
 
 
+def test_tables_can_be_chosen(recorded, exported, tmp_path, capsys):
+    to = ("--out", str(tmp_path / "out"), "--store", str(recorded))
+    assert call("export", "tiny", *to, "--table", "champions", "--table", "scores", "--table", "scores") == 0
+    assert "2 tables" in capsys.readouterr().out
+    tables = {name for name in files(tmp_path / "out") if name.startswith("tables/")}
+    assert tables == {"tables/champions.parquet", "tables/scores.parquet", "tables/columns.csv"}
+    assert files(tmp_path / "out").keys() - tables == files(exported).keys() - {
+        name for name in files(exported) if name.startswith("tables/")
+    }
+
+
 def test_an_export_replaces_an_export_and_keeps_what_the_user_added(recorded, exported, tmp_path, capsys):
     out = shutil.copytree(exported, tmp_path / "out")
     (out / "notes.md").write_text("mine")
@@ -133,6 +144,12 @@ def test_a_study_that_has_only_begun_exports_what_is_done_and_says_what_is_missi
 
 
 # -- what is refused -------------------------------------------------------------------------------------------------
+
+
+def test_a_table_that_the_study_does_not_have_is_refused(recorded, tmp_path, capsys):
+    out = tmp_path / "out"
+    said = refused(capsys, "export", "tiny", "--out", str(out), "--store", str(recorded), "--table", "history")
+    assert "study tiny has no table history" in said and "champions, histories" in said and not out.exists()
 
 
 def test_folders_that_are_not_ours(recorded, tmp_path, capsys):
