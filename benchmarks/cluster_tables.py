@@ -5,16 +5,16 @@ from typing import Any
 
 _STAGES_SHOWN = ("train", "evolve", "transfer")  # which take nearly all the time
 _ROWS_OF_STUDY: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
-    "time, from the command to its end": lambda row: f"{row['seconds']:.0f} s",
-    "workers busy with an item": lambda row: _percent(row["occupancy"]),
-    "the machine's cores busy: workers": lambda row: _percent(row["core_share"]["workers"]),
-    "the driver": lambda row: _percent(row["core_share"]["driver"]),
-    "Ray's servers": lambda row: _percent(row["core_share"]["ray"]),
+    "time of the command": lambda row: f"{row['seconds']:.0f} s",
+    "workers busy with items": lambda row: _percent(row["occupancy"]),
+    "share of the machine's cores that workers use": lambda row: _percent(row["core_share"]["workers"]),
+    "that the driver uses": lambda row: _percent(row["core_share"]["driver"], 1),
+    "that Ray's servers use": lambda row: _percent(row["core_share"]["ray"], 1),
     "work items": lambda row: f"{row['n_items']:,}",
     "items committed per second": lambda row: f"{row['items_per_second']:.1f}",
     "processor time of the driver per item": lambda row: f"{row['driver_cpu_ms']:.0f} ms",
     "puts into the object store": lambda row: f"{row['n_puts']:,}, {_megabytes(row['put_bytes'])}",
-    "inputs sent with an item": lambda row: _megabytes(row["sent_bytes"]),
+    "inputs sent with items": lambda row: _megabytes(row["sent_bytes"]),
     "results returned": lambda row: _megabytes(row["returned_bytes"]),
     "contents per second, both ways": lambda row: f"{row['bytes_per_second'] / 1e6:.2f} MB/s",
     "all traffic on the loopback": lambda row: _megabytes(row["loopback_bytes"]),
@@ -23,22 +23,23 @@ _ROWS_OF_STUDY: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 
 def study(results: Mapping[str, Any]) -> str:
     """Tabulate a study on this machine and on Ray's test cluster."""
-    rows = results["study"]["rows"]
+    part = results["parts"]["study"]
+    rows = part["rows"]
     lines = [f"| | {' | '.join(row['where'] for row in rows)} |", "|---|" + "--:|" * len(rows)]
     for what, cell in _ROWS_OF_STUDY.items():
         lines.append(f"| {what} | {' | '.join(cell(row) for row in rows)} |")
-    equal = f"{results['study']['n_equal']:,} of {results['study']['n_digests']:,}"
+    equal = f"{part['n_equal']:,} of {part['n_digests']:,}"
     return "\n".join([*lines, f"| results equal to the byte | | {equal} |"])
 
 
 def driver(results: Mapping[str, Any]) -> str:
     """Tabulate how many items a second the driver handles."""
     lines = [
-        "| an item takes | and returns | believed cores | items per second | workers busy | the driver's time per item "
-        "| its processor time | the machine busy |",
+        "| an item takes | and returns | cores, as told | items per second | workers busy | the driver's time per item "
+        "| its processor time | the machine's cores busy |",
         "|" + "--:|" * 8,
     ]
-    for row in results["driver"]["rows"]:
+    for row in results["parts"]["driver"]["rows"]:
         cells = (
             f"{row['item_seconds']:g} s",
             f"{row['item_bytes'] / 1e6:g} MB",
@@ -51,13 +52,6 @@ def driver(results: Mapping[str, Any]) -> str:
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
-
-
-def made_with(results: Mapping[str, Any]) -> str:
-    """Say at which commits, and on which processor, both measurements were made."""
-    study_made, driver_made = (results[name]["made_with"] for name in ("study", "driver"))
-    commits = f"{study_made['commit'][:7]} (the study) and {driver_made['commit'][:7]} (items that sleep)"
-    return f"Measured at commits {commits}, on {study_made['cpu']}, Ray {study_made['ray']}."
 
 
 def forecast_inputs(results: Mapping[str, Any]) -> str:
@@ -76,7 +70,7 @@ def forecast_inputs(results: Mapping[str, Any]) -> str:
                 stage["stage"],
                 f"{n_items:,}",
                 _time(stage["core_seconds"] / n_items),
-                f"{stage['traffic'] / n_items / 1e6:.2g} MB",
+                f"{stage['traffic'] / n_items / 1e6:,.1f} MB",
                 _time(stage["longest_chain_seconds"]),
             )
             lines.append(f"| {' | '.join(cells)} |")
@@ -118,8 +112,8 @@ def _time(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:,.1f} h"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
+def _percent(share: float, digits: int = 0) -> str:
+    return f"{100 * share:.{digits}f} %"
 
 
 def _megabytes(n_bytes: float) -> str:

@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -228,10 +228,10 @@ MEASUREMENTS = {"study": study, "driver": driver}
 
 def main() -> None:
     """Measure what the command line names, or everything, and write the results."""
-    document: Mapping[str, Any] = json.loads(TRIAL_FILE.read_text(encoding="utf-8")) if TRIAL_FILE.exists() else {}
-    document = {"schema": "puddle.cluster_trial", "version": 1, **document}
+    parts: dict[str, Any] = json.loads(TRIAL_FILE.read_text(encoding="utf-8"))["parts"] if TRIAL_FILE.exists() else {}
     for name in sys.argv[1:] or MEASUREMENTS:
-        document[name] = MEASUREMENTS[name]()
+        parts[name] = MEASUREMENTS[name]()
+        document = {"schema": "puddle.cluster_trial", "version": 1, "parts": parts}
         TRIAL_FILE.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
 
 

@@ -283,7 +283,6 @@ TABLES = {
     "kernels": recorded_tables.kernels,
     "cluster-study": cluster_tables.study,
     "cluster-driver": cluster_tables.driver,
-    "cluster-made-with": cluster_tables.made_with,
     "forecast-inputs": cluster_tables.forecast_inputs,
     "cluster-forecast": cluster_tables.forecast,
     "tank": recorded_tables.tank,

@@ -20,7 +20,7 @@ def test_a_study_on_two_clusters_is_compared_line_by_line():
         "loopback_bytes": 3e9,
     }
     lines = study(
-        {"study": {"rows": [row, {**row, "where": "nodes"}], "n_equal": 1200, "n_digests": 1201}}
+        {"parts": {"study": {"rows": [row, {**row, "where": "nodes"}], "n_equal": 1200, "n_digests": 1201}}}
     ).splitlines()
     assert lines[0] == "| | this machine | nodes |"
     assert "| workers busy with items | 98 % | 98 % |" in lines
@@ -39,7 +39,7 @@ def test_a_row_for_each_item_that_sleeps():
         "occupancy": 0.77,
     }
     row |= {"driver_ms": 9.96, "driver_cpu_ms": 8.0, "machine_busy": 0.9}
-    *_, line = driver({"driver": {"rows": [row]}}).splitlines()
+    *_, line = driver({"parts": {"driver": {"rows": [row]}}}).splitlines()
     assert line == "| 0.5 s | 0.2 MB | 1,000 | 99 | 77 % | 10.0 ms | 8.0 ms | 90 % |"
 
 
@@ -56,7 +56,7 @@ def test_forecasts_say_what_limits_each_stage():
     on_cores = {"preset": "paper", "gpu_tflops": None, "stages": stages, "seconds": {"64": 8213.0}}
     on_gpus = {**on_cores, "gpu_tflops": 20.0, "seconds": {"64": 1073.0}}
     _, _, *inputs = forecast_inputs({"rows": [on_cores, on_gpus]}).splitlines()
-    assert inputs[0] == "| `paper` | train | 10 | 20.0 h | 3 MB | 2.0 h |"
+    assert inputs[0] == "| `paper` | train | 10 | 20.0 h | 3.0 MB | 2.0 h |"
     assert [line.split(" | ")[1] for line in inputs] == ["train", "evolve", "transfer", "train"]
     _, _, cores, gpus = forecast({"rows": [on_cores, on_gpus]}).splitlines()
     assert cores == "| `paper` | 64 | 2.3 h | 149 % | 2.0 h, longest chain | 17 min, cores | 12 s, driver | 1 s |"
