@@ -190,6 +190,11 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             figures.t_tests,
             figures.key_claim_is_undecided,
         ),
+        _recorded(
+            "On two cores the study takes {all} hours, and the paper's three environments alone, with designed throws "
+            "for the learned one, {three} hours.",
+            "desk_time",
+        ),
         _recorded("*Ê* travelled {one} m and {other} m zero-shot at 9 m.", "two_machines"),
         Sentence(
             "where it ends between {behind} cm behind its start and {ahead} cm ahead of it. Of the {n} champions, "
