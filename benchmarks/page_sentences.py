@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from benchmarks import page_figures as figures
+from benchmarks import page_figures_of_throws as of_throws
 from benchmarks.page_figures import EQUAL, kept, percent, share
 from benchmarks.sentences import Sentence
 
@@ -68,7 +69,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "`simulate` steps all designs at once, {least} to {most} times as fast as Box2D's own `Step`",
             (BENCHMARKS,),
             lambda benchmarks: {
-                name: f"{of(figures.medians(benchmarks, 'Step alone over batch')):.0f}"
+                name: f"{of(of_throws.medians(benchmarks, 'Step alone over batch')):.0f}"
                 for name, of in (("least", min), ("most", max))
             },
         ),
@@ -235,7 +236,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "The paper's throws leave errors as large as the residual itself. Designed throws leave a fifth, with as "
             "many transitions, and still a quarter with a fifth of them.",
             (THROWS,),
-            holds=figures.errors_hold,
+            holds=of_throws.errors_hold,
         ),
         Sentence(
             "Robots evolved with designed throws travel as far as the ensemble predicts. Over [five data "
@@ -267,7 +268,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "larger k brings the prediction closer to the truth, but only because predictions fall, not because robots "
             "travel farther. With designed throws a single network's robots go about as far as an ensemble's.",
             (STUDIES,),
-            holds=figures.throws_matter_most,
+            holds=of_throws.throws_matter_most,
         ),
         _recorded(
             "Three members in place of four keep {three} % in place of {four} % on average over four sets of the "
@@ -287,35 +288,35 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "Tracks at 60 frames a second without noise give {exact} % of what exact states give, and those of the "
             "synthetic video {video} %. The intervals show no loss, and rule out one of a quarter",
             (ROLLOUTS,),
-            figures.shares_of_exact_states,
-            figures.no_loss_of_a_quarter,
+            of_throws.shares_of_exact_states,
+            of_throws.no_loss_of_a_quarter,
         ),
         Sentence(
             "With 0.3 mm of noise it is {noisy} %, with 1 mm {noisier} %, and with 250 throws in place of 500 "
             "{fewer} %; none of these differs from exact states beyond chance. 2 mm of noise leave {noisiest} "
             "%, and 100 throws {fewest} %, which do.",
             (ROLLOUTS,),
-            figures.shares_of_fewer_and_noisier,
-            figures.only_extremes_differ,
+            of_throws.shares_of_fewer_and_noisier,
+            of_throws.only_extremes_differ,
         ),
         Sentence(
             "500 throws tracked at 60 frames a second with up to 1 mm of noise lose a quarter of what exact states "
             "give, and so do those of the synthetic video. 2 mm of noise, or 100 throws in place of 500, lose more "
             "than half.",
             (TRACKS,),
-            holds=figures.tracks_hold,
+            holds=of_throws.tracks_hold,
         ),
     ),
     "docs/filming.md": (
         Sentence(
-            "Positions are off by a quarter of a millimetre, most of it constant", (VIDEO,), holds=figures.video_holds
+            "Positions are off by a quarter of a millimetre, most of it constant", (VIDEO,), holds=of_throws.video_holds
         ),
         Sentence(
             "The stated uncertainty, which knows of noise only, is right within a fifth below 0.6 m/s with a "
             "board. For fast bars it is {board} % too small, and {share} % without a board.",
             (VIDEO,),
-            figures.too_small,
-            figures.slow_bars_hold,
+            of_throws.too_small,
+            of_throws.slow_bars_hold,
         ),
         _recorded(
             "Filmed so for 12 s, the robot of `docs/design-buildable.json` was found to go at {same} mm/s, and with "
@@ -350,7 +351,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "generation in environments without networks, most where a generation is cheapest, in true slush at 9 m. "
             "The Parquet tables that record it add {low_tables} to {high_tables} %.",
             (BENCHMARKS,),
-            figures.own_work,
+            of_throws.own_work,
         ),
     ),
 }

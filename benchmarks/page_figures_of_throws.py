@@ -1,0 +1,158 @@
+"""What measurements of throws, tracks, videos and speed say in sentences of pages; page_figures.py has the studies."""
+
+import math
+from collections.abc import Mapping
+from statistics import fmean
+
+from benchmarks.page_figures import EQUAL, percent, share, shortfall
+from benchmarks.sentences import Recorded
+from benchmarks.tracks_tables import Share, share_of
+
+
+def _error(throws: Recorded, n_throws: int, network: str = "2 × 32", inputs: int = 6, of: str = "robots") -> float:
+    """Return the mean error of networks over depths and components, with about 100,000 transitions or fewer."""
+    (error,) = (
+        row["error"]
+        for row in throws["errors"]
+        if (row["throws"], row["n_throws"], row["network"], row["inputs"]) == (of, n_throws, network, inputs)
+        and row["n_steps"] in (40, 200)
+        and (of, row["n_steps"]) != ("robots", 200)
+    )
+    return fmean(share for shares in error.values() for share in shares)
+
+
+def errors_hold(throws: Recorded) -> bool:
+    """Whether errors of networks are the shares that the page names."""
+    designed = _error(throws, 2500)
+    expected = (
+        (_error(throws, 500, of="paper"), 1, 0.2),
+        (designed, 1 / 5, 0.05),
+        (_error(throws, 500), 1 / 4, 0.05),
+        (_error(throws, 2500, inputs=9) / designed, 2 / 3, 0.1),
+        (_error(throws, 2500, "3 × 64") / designed, 1 / 2, 0.1),
+    )
+    return all(math.isclose(found, stated, abs_tol=tolerance) for found, stated, tolerance in expected)
+
+
+def tracks_hold(tracks: Recorded) -> bool:
+    """Whether tracks lose a quarter, and 2 mm of noise or 100 throws more than half, of what exact states give."""
+    of = {row["learned_from"]: fmean(row["displacement"]) for row in tracks["studies"]}
+    rows = [row for row in tracks["studies"] if row["learned_from"] == "tracks" and row["rate"] == 60]
+    shares = {(row["n_throws"], row["noise_mm"]): fmean(row["displacement"]) / of["exact states"] for row in rows}
+    quarter = (
+        fmean(share for (n, noise), share in shares.items() if n == 500 and noise <= 1),
+        of["video"] / of["exact states of filmed throws"],
+    )
+    half = (shares[500, 2.0], shares[100, 0.3])
+    return all(math.isclose(share, 0.75, abs_tol=0.05) for share in quarter) and max(half) < 0.5
+
+
+def _tracked(tracks: Recorded, n_throws: int, noise_mm: float) -> Share:
+    """Return what tracks at 60 frames a second give of exact states."""
+    (exact,) = (row for row in tracks["studies"] if row["learned_from"] == "exact states")
+    (row,) = (
+        row
+        for row in tracks["studies"]
+        if row["learned_from"] == "tracks"
+        and (row["rate"], row["noise_mm"], row["n_throws"]) == (60, noise_mm, n_throws)
+    )
+    return share_of(row, exact)
+
+
+def _shares_of_exact_states(tracks: Recorded) -> dict[str, Share]:
+    """Return what tracks at 60 frames a second without noise, and the synthetic video, give of exact states."""
+    by_source = {row["learned_from"]: row for row in tracks["studies"]}
+    video = share_of(by_source["video"], by_source["exact states of filmed throws"])
+    return {"exact": _tracked(tracks, 500, 0), "video": video}
+
+
+def shares_of_exact_states(tracks: Recorded) -> dict[str, str]:
+    """Return the shares of exact states in percent."""
+    return {name: percent(found.value) for name, found in _shares_of_exact_states(tracks).items()}
+
+
+def no_loss_of_a_quarter(tracks: Recorded) -> bool:
+    """Whether neither share differs from that of exact states, and both rule out the loss of a quarter."""
+    found = _shares_of_exact_states(tracks).values()
+    return all(0.75 < share.low < 1 < share.high for share in found)
+
+
+def _fewer_and_noisier(tracks: Recorded) -> dict[str, Share]:
+    rows = {
+        "noisy": (500, 0.3),
+        "noisier": (500, 1.0),
+        "noisiest": (500, 2.0),
+        "fewer": (250, 0.3),
+        "fewest": (100, 0.3),
+    }
+    return {name: _tracked(tracks, *row) for name, row in rows.items()}
+
+
+def shares_of_fewer_and_noisier(tracks: Recorded) -> dict[str, str]:
+    """Return what noise and fewer throws leave of exact states, in percent."""
+    return {name: percent(found.value) for name, found in _fewer_and_noisier(tracks).items()}
+
+
+def only_extremes_differ(tracks: Recorded) -> bool:
+    """Whether of these only most noise and fewest throws differ from exact states beyond chance."""
+    found = _fewer_and_noisier(tracks)
+    return [name for name, share in found.items() if not share.low < 1 < share.high] == ["noisiest", "fewest"]
+
+
+def throws_matter_most(studies: Recorded) -> bool:
+    """Whether robots of the paper's throws keep little whatever the ensemble.
+
+    Also whether the prediction falls towards the truth with k, and whether a single network's robots of designed throws
+    go about as far as an ensemble's.
+    """
+    by_name = {of["study"]: of for of in studies["studies"]}
+    papers = [share(of, arm) for of in by_name.values() for arm in _arms(of) & {"residual_slush", "single_member"}]
+    gaps = [shortfall(by_name[f"penalty-{k}"], "residual_slush") for k in ("0", "3")]
+    single = share(by_name["members-1"], "designed_single_member")
+    ensembles = [share(of, "designed_throws") for of in by_name.values() if "designed_throws" in _arms(of)]
+    return max(papers) < 1 / 3 and gaps[1] < gaps[0] and math.isclose(single, fmean(ensembles), rel_tol=2 * EQUAL)
+
+
+def _arms(study: Recorded) -> set[str]:
+    return {of["environment"] for of in study["arms"]}
+
+
+def _bars(video: Recorded, case: str) -> list[Recorded]:
+    return [row for row in video["cases"] if row["case"] == case]
+
+
+def video_holds(video: Recorded) -> bool:
+    """Whether positions from videos are off by a quarter of a millimetre, most of it constant."""
+    seen = [row for row in video["cases"] if "exact" not in row["case"]]
+    constant = all(row["jitter_mm"] < row["position_mm"] / 2 for row in seen)
+    return constant and math.isclose(fmean(row["position_mm"] for row in seen), 0.25, abs_tol=0.05)
+
+
+def slow_bars_hold(video: Recorded) -> bool:
+    """Whether the stated uncertainty of bars that are not fast is right within a fifth with a board."""
+    slow = [row for row in video["cases"] if row["case"].endswith(", board") and row["band"][1] < 1]
+    return all(abs(row["stated_mm"] / row["jitter_mm"] - 1) < 0.205 for row in slow)
+
+
+def too_small(video: Recorded) -> Mapping[str, str]:
+    """Return by how much the stated uncertainty of fast bars is too small, with a board and without."""
+    fast = {"board": _bars(video, "60/s, board")[-1], "share": _bars(video, "60/s, no board")[-1]}
+    return {name: percent(1 - row["stated_mm"] / row["jitter_mm"]) for name, row in fast.items()}
+
+
+# -- benchmarks ------------------------------------------------------------------------------------------------------
+
+
+def medians(benchmarks: Recorded, name: str) -> list[float]:
+    """Return the medians of a benchmark over depths."""
+    return [of["median"] for of in benchmarks["figures"] if of["name"].startswith(f"{name}, d = ")]
+
+
+def own_work(benchmarks: Recorded) -> Mapping[str, str]:
+    """Return the ranges of AFPO's own work and of its tables [%]."""
+    median = {of["name"]: of["median"] for of in benchmarks["figures"]}
+    arms = ("DryLand, d = 9", "TrueSlush, d = 1", "TrueSlush, d = 9")
+    own = [median[f"AFPO's own work, {arm}"] for arm in arms]
+    tables = [median[f"AFPO's own work and its tables, {arm}"] - of for arm, of in zip(arms, own, strict=True)]
+    ends = {"low": min(own), "high": max(own), "low_tables": min(tables), "high_tables": max(tables)}
+    return {name: f"{end:.0f}" for name, end in ends.items()}
