@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping
 from statistics import fmean
 
+import scipy
+
 from benchmarks.page_figures import EQUAL, percent, share, shortfall
 from benchmarks.sentences import Recorded
 from benchmarks.tracks_tables import Share, share_of
@@ -111,6 +113,34 @@ def throws_matter_most(studies: Recorded) -> bool:
     single = share(by_name["members-1"], "designed_single_member")
     ensembles = [share(of, "designed_throws") for of in by_name.values() if "designed_throws" in _arms(of)]
     return max(papers) < 1 / 3 and gaps[1] < gaps[0] and math.isclose(single, fmean(ensembles), rel_tol=2 * EQUAL)
+
+
+def from_100_throws(studies: Recorded) -> Mapping[str, str]:
+    """Return the shares of *E* from 100 throws: of designed throws, of the paper's, and with magnitudes as inputs."""
+    six, nine = _from_100_throws(studies)
+    shares = {
+        "designed": share(six, "designed_throws"),
+        "designed_adapted": share(six, "designed_throws", "adapted"),
+        "papers": share(six, "residual_slush"),
+        "papers_adapted": share(six, "residual_slush", "adapted"),
+        "nine": share(nine, "designed_throws"),
+    }
+    return {name: percent(found) for name, found in shares.items()}
+
+
+def _from_100_throws(studies: Recorded) -> list[Recorded]:
+    by_name = {study["study"]: study for study in studies["studies"]}
+    return [by_name["few-100"], by_name["few-100-magnitudes"]]
+
+
+def below_the_aim(studies: Recorded) -> bool:
+    """Whether 100 throws fall short of 90 % of *E*, with six inputs and nine, which do not differ by Welch's test."""
+    both = _from_100_throws(studies)
+    drawn = [
+        [row["zero_shot"] for row in study["champions"] if row["environment"] == "designed_throws"] for study in both
+    ]
+    alike = scipy.stats.ttest_ind(*drawn, equal_var=False).pvalue > 0.05
+    return bool(alike) and max(share(study, "designed_throws") for study in both) < 0.9
 
 
 def _arms(study: Recorded) -> set[str]:
