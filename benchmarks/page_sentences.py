@@ -272,8 +272,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "100 designed throws leave {designed} % of *E* zero-shot and {designed_adapted} % adapted, where 100 of "
-            "the paper's leave {papers} % and {papers_adapted} %. With nine inputs it is {nine} %, which six trials cannot "
-            "tell from the six inputs' share. 90 % was the aim.",
+            "the paper's leave {papers} % and {papers_adapted} %. With nine inputs it is {nine} %, which six trials "
+            "cannot tell from the six inputs' share. 90 % was the aim.",
             (FEW,),
             of_throws.from_100_throws,
             of_throws.below_the_aim,
