@@ -186,3 +186,10 @@ def own_work(benchmarks: Recorded) -> Mapping[str, str]:
     tables = [median[f"AFPO's own work and its tables, {arm}"] - of for arm, of in zip(arms, own, strict=True)]
     ends = {"low": min(own), "high": max(own), "low_tables": min(tables), "high_tables": max(tables)}
     return {name: f"{end:.0f}" for name, end in ends.items()}
+
+
+def shares_of_peak(profile: Recorded) -> Mapping[str, str]:
+    """Return the range of the networks' rates over the core's peak, over ensembles."""
+    rows = [row for row in profile["rows"] if row["gflop"]]
+    rates = [row["gflop"] / (row["shares"]["networks"] * row["seconds"]) / profile["peak_gflops"] for row in rows]
+    return {"low": percent(min(rates)), "high": percent(max(rates))}

@@ -19,6 +19,7 @@ THROWS, TRACKS, ROLLOUTS, VIDEO = (
 )
 STUDIES, FEW = "docs/results/throws-studies.json", "docs/results/few-throws.json"
 SENSITIVITY, BENCHMARKS = "docs/sensitivity.json", "benchmarks/results.json"
+PROFILE = "docs/results/kernel-profile.json"
 
 
 def _recorded(words: str, name: str) -> Sentence:
@@ -354,6 +355,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
     ),
     "docs/performance.md": (
+        Sentence("Inference runs at {low} to {high} % of the core's peak", (PROFILE,), of_throws.shares_of_peak),
         Sentence(
             "AFPO's own work is to ask, tell, pack designs into lanes and record what happened: {low} to {high} % of a "
             "generation in environments without networks, most where a generation is cheapest, in true slush at 9 m. "
