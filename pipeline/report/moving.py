@@ -12,7 +12,7 @@ from pipeline.report.wording import absent, number
 from pipeline.text import escape
 from tasks.world import ENVIRONMENTS
 
-_EXEMPLARS = ("residual_slush", "dry_land")  # arms of the gallery: with residuals and without. Paper, Fig. 1
+_WITH_RESIDUALS, _WITHOUT = ("residual_slush", "designed_throws"), "dry_land"  # arms of the gallery. Paper, Fig. 1
 
 _SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
 
@@ -53,10 +53,17 @@ def exemplars(replays: Sequence[Replay]) -> list[Replay]:
     A study without these arms is represented by its best robots in True Slush.
     """
     filmed = [replay for replay in replays if replay.film and replay.in_true_slush]
-    chosen = [replay for replay in filmed if replay.environment in _EXEMPLARS] or filmed
+    arms = _arms_of_gallery(replays)
+    chosen = [replay for replay in filmed if replay.environment in arms] or filmed
     deepest = max((replay.depth for replay in chosen), default=None)
     chosen = [replay for replay in chosen if replay.depth == deepest]
-    return sorted(chosen, key=lambda replay: replay.environment != _EXEMPLARS[0])[:2]
+    return sorted(chosen, key=lambda replay: replay.environment != arms[0])[:2]
+
+
+def _arms_of_gallery(replays: Sequence[Replay]) -> tuple[str, str]:
+    """Return the arms with residuals, learned from the paper's throws if the study has such, and without."""
+    evolved_in = {replay.environment for replay in replays}
+    return next((name for name in _WITH_RESIDUALS if name in evolved_in), _WITH_RESIDUALS[0]), _WITHOUT
 
 
 def films(replays: Sequence[Replay], shown: Sequence[Replay]) -> str:
@@ -71,11 +78,12 @@ def films(replays: Sequence[Replay], shown: Sequence[Replay]) -> str:
 
 def gallery(replays: Sequence[Replay], *, reason: str | None = None) -> str:
     """Show for each depth the best robot evolved with residuals above the best one evolved without, or the reason."""
-    shown = [replay for replay in replays if replay.environment in _EXEMPLARS and replay.in_true_slush and replay.film]
+    arms = _arms_of_gallery(replays)
+    shown = [replay for replay in replays if replay.environment in arms and replay.in_true_slush and replay.film]
     if not shown:
         none_yet = "no champion from Residual Slush or Dry Land has been filmed in True Slush yet"
         return absent("The gallery", reason or none_yet)
-    shown.sort(key=lambda replay: (replay.depth, _EXEMPLARS.index(replay.environment)))
+    shown.sort(key=lambda replay: (replay.depth, arms.index(replay.environment)))
     cards = [
         f'<figure class="exemplars"><h3>{depth:g} m of slush</h3>{films(replays, list(group))}</figure>'
         for depth, group in groupby(shown, key=lambda replay: replay.depth)
@@ -84,7 +92,7 @@ def gallery(replays: Sequence[Replay], *, reason: str | None = None) -> str:
 
 
 def _film(replay: Replay, index: int) -> str:
-    kinds = {"residual_slush": "with residuals", "dry_land": "without residuals"}
+    kinds = {**dict.fromkeys(_WITH_RESIDUALS, "with residuals"), _WITHOUT: "without residuals"}
     kind = kinds.get(replay.environment) or f"evolved {ENVIRONMENTS[replay.environment].evolved}"
     label = f"{kind}: {number(replay.displacement)} m"
     swatch = f'<span class="swatch {escape(replay.environment)}"></span>'
