@@ -347,6 +347,14 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "the bench",
             "buildable",
         ),
+        _recorded(
+            "champions were predicted to travel {predicted_1}, {predicted_2}, {predicted_3} and {predicted_4} m and "
+            "travelled {true_1}, {true_2}, {true_3} and {true_4} m. The proposed one crosses the filled tank in {wet} "
+            "of 8 trials and the dry floor in {dry}, where it ends within 5 cm of its start in {still} of 8, as the "
+            "paper's robot did. Its kit has no faults, and its servos give {margin_1} and {margin_2} times what the "
+            "run needs.",
+            "pontoon_4",
+        ),
         _recorded("its two servos give {margin_1} and {margin_2} times what the run needs.", "raft"),
         _recorded(
             "under the paper's rules alone parts collide during the gait in {papers} of 100 random designs, under the "
