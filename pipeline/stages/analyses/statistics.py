@@ -171,7 +171,7 @@ def _drawn(predictions: _Predictions, others: Mapping[str, _Predictions], deviat
     of_others = {
         mean_of_ensemble(group): each.mean(axis=0)
         for group, (each, of_same, *_) in others.items()
-        if np.array_equal(of_same, true)
+        if len(each) and np.array_equal(of_same, true, equal_nan=True)
     }
     found = histograms(members(predicted) | chosen | of_others, true)
     n = len(found.names)
