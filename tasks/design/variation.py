@@ -193,8 +193,8 @@ def random_designs(
     Raises:
         DesignError: the morphology can't be satisfied.
     """
-    left = morphology if body is None else morphology.of_controllers()
-    return Sampler(rng, variation_of(morphology, body=body), left).random(n_designs).designs
+    constraints = morphology if body is None else morphology.of_controllers()
+    return Sampler(rng, variation_of(morphology, body=body), constraints).random(n_designs).designs
 
 
 def mutate(
@@ -222,8 +222,8 @@ def mutate(
         DesignError: no mutant of a parent is within the morphology.
     """
     variation = variation_of(morphology, mutation=mutation, parts=parts)
-    left = morphology if "body" in parts else morphology.of_controllers()
-    return Sampler(rng, variation, left).mutants(designs.table).designs
+    constraints = morphology if "body" in parts else morphology.of_controllers()
+    return Sampler(rng, variation, constraints).mutants(designs.table).designs
 
 
 def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Designs:

@@ -178,9 +178,9 @@ def ask(
         parents=np.append(population.identity, NO_PARENT)[parent],
         n_draws=np.ones(n_children, dtype=np.int64),
     )
-    left = morphology if body is None else morphology.of_controllers()
-    if left.rejects:
-        _resample_rejected(children, population.table, parent, Sampler(rng, variation, left))
+    constraints = morphology if body is None else morphology.of_controllers()
+    if constraints.rejects:
+        _resample_rejected(children, population.table, parent, Sampler(rng, variation, constraints))
     return children
 
 

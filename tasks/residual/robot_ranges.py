@@ -50,8 +50,8 @@ def robot_ranges(physics: Physics) -> RobotRanges:
     overlap; if links collide, these would burst apart, which no robot that evolves does. So they do not collide here.
     """
     pilots = random_designs(N_PILOTS, generator(0, "robot ranges"))
-    passing = physics.model_copy(update={"link_collisions": False})
-    rollouts = simulate(pilots, DryLand(depth=0.0), n_settle=_N_SETTLE, trace=True, physics=passing)
+    without_collisions = physics.model_copy(update={"link_collisions": False})
+    rollouts = simulate(pilots, DryLand(depth=0.0), n_settle=_N_SETTLE, trace=True, physics=without_collisions)
     assert rollouts.trace is not None
     _, _, _, vx, vy, omega = np.moveaxis(rollouts.trace[:, _N_SETTLE:].astype(np.float64), -1, 0)
     speed, spin = np.hypot(vx, vy), np.abs(omega)
