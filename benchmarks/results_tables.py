@@ -103,6 +103,21 @@ def errors(results: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def regularisation(results: Mapping[str, Any]) -> str:
+    """Tabulate the errors of networks with and without dropout and weight decay: the mean and range over networks."""
+    of = results["regularisation"]
+    depths = list(of["rows"][0]["errors_of_networks"])
+    lines = [f"| dropout | weight decay | {' | '.join(f'at {depth} m' for depth in depths)} |"]
+    lines.append(f"|--:|--:|{'--:|' * len(depths)}")
+    for row in of["rows"]:
+        cells = [f"{row['dropout']:g}", f"{row['weight_decay']:g}"]
+        for depth in depths:
+            each = [fmean(components) for components in row["errors_of_networks"][depth]]
+            cells.append(f"{fmean(each):.3f} ({min(each):.3f} to {max(each):.3f})")
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def inference(results: Mapping[str, Any]) -> str:
     """Tabulate what a generation takes with ensembles of several sizes."""
     of = results["inference"]
@@ -272,6 +287,7 @@ TABLES = {
     "coverage": coverage,
     "errors": errors,
     "inference": inference,
+    "regularisation": regularisation,
     "video": video,
     "digests": digests,
     "made-with": made_with,

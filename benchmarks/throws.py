@@ -1,7 +1,8 @@
 """Measure what networks get wrong along the paths of robots, by throws and networks: `python -m benchmarks.throws`.
 
 Writes docs/results/throws.json, which docs/throws.md shows. It takes a quarter of an hour on one core. `python -m
-benchmarks.throws inference` measures the time of inference alone, and takes a minute.
+benchmarks.throws inference` measures the time of inference alone, and takes a minute; `python -m benchmarks.throws
+regularisation` trains with and without dropout and weight decay, and takes five.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,7 @@ from tasks.world import Environment, LinkStates, Physics, ResidualSlush, Slush, 
 
 DEPTHS = (1.0, 2.0, 4.0, 9.0)
 _N_TRIALS, _N_GENERATIONS, _EVERY, _N_NETWORKS = 3, 400, 7, 2
+_REGULARISED, _N_REGULARISED = (2, 48), 4  # hidden layers and width of desk's networks; networks of each row
 _N_DESIGNS, _N_MEMBERS, _N_TIMED, _DEPTH_OF_INFERENCE = 16, 4, 12, 9.0
 _MAGNITUDES: tuple[Observed, ...] = (*OBSERVATION, "speed", "abs_omega", "abs_sin_angle")
 _TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
@@ -125,6 +128,26 @@ def row(
     }
 
 
+def regularisation() -> dict[str, Any]:
+    """Return the errors of networks with and without dropout and weight decay; a preset has both at their defaults."""
+    at = {depth: robots(depth) for depth in DEPTHS}
+    n_throws, n_steps = THROWS["robots"][-1]
+    throws = Throws(design="robots", n_throws=n_throws, n_steps=n_steps)
+    transitions = simulate_throws(initial_states(throws, generator(1, "throws")), n_steps, Slush(), Physics())
+    layers, width = _REGULARISED
+    rows = []
+    for dropout, weight_decay in product((Architecture().dropout, 0.0), (Training().weight_decay, 0.0)):
+        architecture = Architecture(hidden_layers=layers, width=width, dropout=dropout)
+        training = _TRAINING.model_copy(update={"weight_decay": weight_decay})
+        members = [train_member(transitions, architecture, training, seed=1, member=k) for k in range(_N_REGULARISED)]
+        each = [Ensemble.from_members([member.arrays()]) for member in members]
+        found = {f"{depth:g}": [errors(one, *states) for one in each] for depth, states in at.items()}
+        rows.append({"dropout": dropout, "weight_decay": weight_decay, "errors_of_networks": found})
+        print(rows[-1], flush=True)
+    network = f"{layers} × {width}"
+    return {"made_with": dict(provenance()), "network": network, "n_networks": _N_REGULARISED, "rows": rows}
+
+
 def inference() -> dict[str, Any]:
     """Return what a generation takes with ensembles of several sizes, beside one in True Slush, on one core."""
     designs = random_designs(_N_DESIGNS, generator(1, "inference"))
@@ -150,8 +173,9 @@ def inference() -> dict[str, Any]:
 def main() -> None:
     """Measure every row and write the file."""
     file = RESULTS / "throws.json"
-    if sys.argv[1:] == ["inference"]:
-        document = {**json.loads(file.read_text(encoding="utf-8")), "inference": inference()}
+    parts = {"inference": inference, "regularisation": regularisation}
+    if (part := "".join(sys.argv[1:])) in parts:
+        document = {**json.loads(file.read_text(encoding="utf-8")), part: parts[part]()}
         file.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
         return
     at = {depth: robots(depth) for depth in DEPTHS}
@@ -167,6 +191,7 @@ def main() -> None:
         "made_with": dict(provenance()),
         "errors": rows,
         "inference": inference(),
+        "regularisation": regularisation(),
     }
     file.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
 
