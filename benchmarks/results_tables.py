@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from statistics import fmean
+from collections.abc import Mapping
 from typing import Any
 
-from benchmarks import cluster_tables, recorded_tables, tracks_tables
+from benchmarks import cluster_tables, recorded_tables, table_cells, throws_tables, tracks_tables
 from tasks.analysis import paper
-from tasks.design.genes import N_LINKS
 from tasks.world import ENVIRONMENTS
 
 _HEADINGS = ("zero-shot", "adapted", "share of *E*", "of *E* adapted")
@@ -41,7 +39,7 @@ def accuracy(results: Mapping[str, Any]) -> str:
     lines = [f"| {' | '.join(headings)} |", f"|{'---|' * left}{'--:|' * (len(headings) - left)}"]
     for row in results["accuracy"]:
         name = _PREDICTORS.get(row["name"], row["name"])
-        figures = (_figure(row[figure]) for figure in ("r", "slope"))
+        figures = (table_cells.figure(row[figure]) for figure in ("r", "slope"))
         cells = [ensembles.get(row.get("learned_from"), "")] * several + [name, *figures, _papers_figures(row["name"])]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
@@ -87,51 +85,6 @@ def variance(results: Mapping[str, Any]) -> str:
         words = row["quantity"].replace("_", "-")
         cells = [ENVIRONMENTS[row["environment"]].label, f"{row['depth']:g}", words, f"{row['n']}"]
         lines.append(f"| {' | '.join([*cells, str(row['n_replicates']), *deviations, share])} |")
-    return "\n".join(lines)
-
-
-def errors(results: Mapping[str, Any]) -> str:
-    """Tabulate the errors of networks along the paths of robots, by the throws that they learned from."""
-    depths = list(results["errors"][0]["error"])
-    headings = ["throws", "× steps", "networks", "inputs", "training [s]", *(f"at {depth} m" for depth in depths)]
-    lines = [f"| {' | '.join(headings)} |", "|---|--:|---|" + "--:|" * (len(headings) - 3)]
-    for row in results["errors"]:
-        size = f"{row['n_throws']:,} × {row['n_steps']}"
-        cells = [row["throws"], size, row["network"], str(row["inputs"]), f"{row['seconds']:.0f}"]
-        cells += [" ".join(f"{error:.2f}" for error in row["error"][depth]) for depth in depths]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def regularisation(results: Mapping[str, Any]) -> str:
-    """Tabulate the errors of networks with and without dropout and weight decay: the mean and range over networks."""
-    of = results["regularisation"]
-    depths = list(of["rows"][0]["errors_of_networks"])
-    lines = [f"| dropout | weight decay | {' | '.join(f'at {depth} m' for depth in depths)} |"]
-    lines.append(f"|--:|--:|{'--:|' * len(depths)}")
-    for row in of["rows"]:
-        cells = [f"{row['dropout']:g}", f"{row['weight_decay']:g}"]
-        for depth in depths:
-            each = [fmean(components) for components in row["errors_of_networks"][depth]]
-            cells.append(f"{fmean(each):.3f} ({min(each):.3f} to {max(each):.3f})")
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def inference(results: Mapping[str, Any]) -> str:
-    """Tabulate what a generation takes with ensembles of several sizes."""
-    of = results["inference"]
-    n_designs, n_members = of["n_designs"], of["n_members"]
-    lines = [
-        f"| networks, {n_members} members | inputs | a generation of {n_designs} designs | evaluations of a network |",
-        "|---|--:|--:|--:|",
-    ]
-    n_evaluations = n_members * n_designs * N_LINKS * of["n_steps"]
-    for row in of["rows"]:
-        network = (row["network"], str(row["inputs"])) if row["inputs"] else ("none, in True Slush", "")
-        rate = f"{n_evaluations / row['seconds'] / 1e6:.1f} million/s" if row["inputs"] else ""
-        cells = (*network, f"{1e3 * row['seconds']:.0f} ms", rate)
-        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -188,83 +141,6 @@ def coverage(results: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def few_throws(results: Mapping[str, Any]) -> str:
-    """Tabulate how far robots get with few throws, by the throws and the inputs of the networks."""
-    lines = [
-        "| throws × steps | of | inputs | predicted | zero-shot | adapted | share of *E*, of each data set | adapted |",
-        "|--:|---|--:|--:|--:|--:|--:|--:|",
-    ]
-    for study in _series(results, "few throws", "few throws, magnitudes"):
-        inputs = "9" if "magnitudes" in study["series"] else "6"
-        for environment, of in (("residual_slush", "paper"), ("designed_throws", "robots")):
-            if cells := _of_arm(study, environment):
-                lines.append(f"| {' | '.join([study['variant'], of, inputs, *cells])} |")
-    return "\n".join(lines)
-
-
-def penalty(results: Mapping[str, Any]) -> str:
-    """Tabulate how far robots get by the weight of the members' disagreement."""
-    return _by_variant(results, "penalty", "k", ("residual_slush", "designed_throws"))
-
-
-def members(results: Mapping[str, Any]) -> str:
-    """Tabulate how far robots get by the number of members."""
-    arms = ("residual_slush", "designed_throws", "single_member", "designed_single_member")
-    return _by_variant(results, "members", "members", arms)
-
-
-def rounds(results: Mapping[str, Any]) -> str:
-    """Tabulate what throws in rounds are worth beside as many throws at once, by data set."""
-    lines = [
-        "| throws | in rounds | error: vx, vy, ω | zero-shot [m], of each data set | share of *E* |",
-        "|--:|--:|---|--:|--:|",
-    ]
-    best, groups = fmean(results["in_true_slush"]), [(row["n_throws"], row["n_rounds"]) for row in results["rows"]]
-    for group in sorted(set(groups)):
-        rows = [row for row, of in zip(results["rows"], groups, strict=True) if of == group]
-        error = " ".join(f"{fmean(of):.2f}" for of in zip(*(row["error"] for row in rows), strict=True))
-        means = [fmean(row["zero_shot"]) for row in rows]
-        each = ", ".join(_signed(f"{mean:z.1f}") for mean in means)
-        share = _share({"mean": fmean(means)}, {"mean": best})
-        lines.append(f"| {group[0]} | {group[1]} | {error} | {each} | {share} |")
-    return "\n".join(lines)
-
-
-def _by_variant(results: Mapping[str, Any], series: str, heading: str, arms: Sequence[str]) -> str:
-    lines = [
-        f"| {heading} | evolved in | predicted | zero-shot | adapted | share of *E*, of each data set | adapted "
-        "| R | slope |",
-        "|--:|---|--:|--:|--:|--:|--:|--:|--:|",
-    ]
-    for study in _series(results, series):
-        fits = {row["learned_from"]: row for row in study["accuracy"] if row["name"] == "mean"}
-        for environment in arms:
-            if cells := _of_arm(study, environment):
-                fit = fits.get(ENVIRONMENTS[environment].learns_from, {})
-                shown = [_figure(fit[name]) if name in fit else "" for name in ("r", "slope")]
-                label = ENVIRONMENTS[environment].label
-                lines.append(f"| {' | '.join([study['variant'], label, *cells, *shown])} |")
-    return "\n".join(lines)
-
-
-def _series(results: Mapping[str, Any], *names: str) -> list[Mapping[str, Any]]:
-    return [study for study in results["studies"] if study["series"] in names]
-
-
-def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
-    """Return an arm's displacements, its share of *E* zero-shot with each data set, and adapted with all."""
-    arms = {arm["environment"]: arm for arm in study["arms"]}
-    if environment not in arms:
-        return []
-    arm, best = arms[environment], arms["true_slush"]["zero_shot"]
-    by_data_set: dict[int, list[float]] = {}
-    for champion in study["champions"]:
-        if champion["environment"] == environment and champion["zero_shot"] is not None:
-            by_data_set.setdefault(champion["trial"] % study["n_replicates"], []).append(champion["zero_shot"])
-    shares = [_share({"mean": fmean(values)}, best) for _, values in sorted(by_data_set.items())]
-    return [*(_mean(arm.get(name)) for name in _MEASURED), ", ".join(shares), _share(arm.get("adapted"), best)]
-
-
 def core_seconds(results: Mapping[str, Any]) -> str:
     """Tabulate the processor time of each stage, and its share."""
     of_stage = results["core_seconds"]
@@ -285,16 +161,17 @@ TABLES = {
     "t-tests": t_tests,
     "variance": variance,
     "coverage": coverage,
-    "errors": errors,
-    "inference": inference,
-    "regularisation": regularisation,
+    "errors": throws_tables.errors,
+    "inference": throws_tables.inference,
+    "regularisation": throws_tables.regularisation,
     "video": video,
     "digests": digests,
     "made-with": made_with,
-    "few": few_throws,
-    "penalty": penalty,
-    "rounds": rounds,
-    "members": members,
+    "few": throws_tables.few_throws,
+    "penalty": throws_tables.penalty,
+    "rounds": throws_tables.rounds,
+    "rules": throws_tables.rules,
+    "members": throws_tables.members,
     "open-choices": recorded_tables.open_choices,
     "kernels": recorded_tables.kernels,
     "cluster-study": cluster_tables.study,
@@ -309,15 +186,11 @@ TABLES = {
 _PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}
 
 
-def _figure(value: float | list[float]) -> str:
-    return " to ".join(_signed(f"{number:.2f}") for number in (value if isinstance(value, list) else [value]))
-
-
 def _papers_figures(name: str) -> str:
     figures = ("r", "slope")
     if name == "single members":
-        return ", ".join(_figure(list(paper.RANGES[figure][:2])) for figure in figures)
-    return ", ".join(_figure(paper.AGGREGATES[name, figure][0]) for figure in figures)
+        return ", ".join(table_cells.figure(list(paper.RANGES[figure][:2])) for figure in figures)
+    return ", ".join(table_cells.figure(paper.AGGREGATES[name, figure][0]) for figure in figures)
 
 
 def _predicted_headings(results: Mapping[str, Any]) -> list[str]:
@@ -331,31 +204,16 @@ def _predicted_headings(results: Mapping[str, Any]) -> list[str]:
 def _cells(name: str, arms: Mapping[str, Any], n_predicted: int) -> list[str]:
     kind, arm = ENVIRONMENTS[name], arms[name]
     symbol = kind.symbol.replace("*", r"\*")
-    cells = [f"{kind.label}, *{symbol}*", _mean(arm.get("predicted")) if name != "true_slush" else ""]
+    cells = [f"{kind.label}, *{symbol}*", table_cells.mean(arm.get("predicted")) if name != "true_slush" else ""]
     if n_predicted > 1:
         of_members = ("predicted_sd", "fitness") if "predicted_sd" in arm else ()
-        cells += [_signed(f"{arm[quantity]['mean']:z.1f}") for quantity in of_members] or ["", ""]
-    cells += [_mean(arm.get(quantity)) for quantity in ("zero_shot", "adapted")]
+        cells += [table_cells.signed(f"{arm[quantity]['mean']:z.1f}") for quantity in of_members] or ["", ""]
+    cells += [table_cells.mean(arm.get(quantity)) for quantity in ("zero_shot", "adapted")]
     best = arms.get("true_slush", {})
     for reference in ("zero_shot", "adapted"):
-        shares = [_share(arm.get(quantity), best.get(reference)) for quantity in ("zero_shot", "adapted")]
+        shares = [table_cells.share(arm.get(quantity), best.get(reference)) for quantity in ("zero_shot", "adapted")]
         cells.append("" if name == "true_slush" else ", ".join(share for share in shares if share))
     return cells
-
-
-_MEASURED = ("predicted", "zero_shot", "adapted")
-
-
-def _mean(of: Mapping[str, float] | None) -> str:
-    return "" if of is None else _signed(f"{of['mean']:z.1f}") + (f" ± {of['sd']:.1f}" if of["sd"] is not None else "")
-
-
-def _share(of: Mapping[str, float] | None, best: Mapping[str, float] | None) -> str:
-    return (
-        ""
-        if of is None or best is None or best["mean"] <= 0
-        else _signed(f"{of['mean'] / best['mean']:z.0%}").replace("%", " %")
-    )
 
 
 def _papers(name: str) -> str:
@@ -364,14 +222,10 @@ def _papers(name: str) -> str:
     if name == "true_slush":
         return f"{best:g} m"
     shares = [_papers_share((name, quantity), best) for quantity in ("zero_shot", "adapted")]
-    return ", ".join(_signed(f"{share:.0%}").replace("%", " %") for share in shares if share is not None)
+    return ", ".join(table_cells.signed(f"{share:.0%}").replace("%", " %") for share in shares if share is not None)
 
 
 def _papers_share(arm: Any, best: float) -> float | None:
     if arm in paper.RATIOS:
         return paper.RATIOS[arm][0]
     return paper.MEANS[arm][0] / best if arm in paper.MEANS else None
-
-
-def _signed(text: str) -> str:
-    return text.replace("-", "−")

@@ -12,6 +12,7 @@ from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact
 from pipeline.store.store import Store
 from pipeline.workflow.background import Background
+from pipeline.workflow.compiling import compiling
 from pipeline.workflow.dispatcher import Limits, run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, require, results_of
 from pipeline.workflow.progress import NOTHING, Progress, StudyPace
@@ -75,7 +76,8 @@ def drive(
             if not opened:
                 progress.say("starting the cluster")
                 if seconds := seconds_to_compile(settings.physics):
-                    progress.say(f"each machine compiles the kernels once, for about {seconds:.0f} s without progress")
+                    progress.say(f"compiling the kernels meanwhile, once on each machine: about {seconds:.0f} s")
+                    stack.enter_context(compiling(settings.physics))
                 opened.append(stack.enter_context(open_cluster()))
             return opened[0]
 

@@ -40,9 +40,9 @@ class Mutation(Parameters):
 
 _MUTATION = Mutation()
 
-random_kernel = compiled(variation_kernels.random_table, seconds=3)
-mutate_kernel = compiled(variation_kernels.mutate_table, seconds=6)
-recombine_kernel = compiled(variation_kernels.recombine_tables, seconds=3)
+random_kernel = compiled(variation_kernels.random_table, seconds=2)
+mutate_kernel = compiled(variation_kernels.mutate_table, seconds=3)
+recombine_kernel = compiled(variation_kernels.recombine_tables, seconds=1)
 
 MAX_RECOMBINATIONS = 256  # most draws of a child; there are 62 choices of links
 

@@ -18,7 +18,7 @@ def _rotate(block: Block, n_rows: int) -> None:
         block[n_rows + row], block[2 * n_rows + row] = rotation.sincos(block[row])
 
 
-_run = compiled(_rotate, seconds=2)
+_run = compiled(_rotate, seconds=1)
 
 
 def sines_and_cosines(angle: Float32) -> tuple[Float32, Float32]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.recorded_tables import kernels
-from benchmarks.results_tables import comparison, few_throws, made_with, members, rounds, t_tests, transfer, variance
+from benchmarks.results_tables import comparison, made_with, t_tests, transfer, variance
 from benchmarks.tracks_tables import share_of
 
 
@@ -70,37 +70,6 @@ def test_the_variance_between_replicates_has_its_share():
     lines = variance({"variance": [known, unknown]}).splitlines()
     assert lines[2] == "| Residual Slush | 9 | zero-shot | 10 | 2 | 1.5 | 1.5 | 25 % (0 % to 98 %) |"
     assert lines[3].endswith("| 2 |  |  |  |")
-
-
-@pytest.fixture
-def studies():
-    def arm(environment, zero_shot):
-        moments = {name: {"n": 6, "mean": zero_shot, "sd": 1.0} for name in ("predicted", "zero_shot", "adapted")}
-        return {"environment": environment, "depth": 9.0, **moments}
-
-    champions = [{"environment": "designed_throws", "trial": k, "zero_shot": 5.0 + k % 3} for k in range(6)]
-    study = {"arms": [arm("true_slush", 10.0), arm("designed_throws", 6.0)], "champions": champions, "n_replicates": 3}
-    fit = {"learned_from": "designed_throws", "name": "mean", "r": 0.9, "slope": 1.1}
-    few = {**study, "series": "few throws", "variant": "25 × 200", "accuracy": []}
-    return {"studies": [few, {**study, "series": "members", "variant": "2", "accuracy": [fit]}]}
-
-
-def test_shares_are_of_each_data_set(studies):
-    row = few_throws(studies).splitlines()[2]
-    assert row == "| 25 × 200 | robots | 6 | 6.0 ± 1.0 | 6.0 ± 1.0 | 6.0 ± 1.0 | 50 %, 60 %, 70 % | 60 % |"
-
-
-def test_accuracy_stands_beside_the_arm_whose_ensemble_it_is_of(studies):
-    assert members(studies).splitlines()[2].endswith("| 50 %, 60 %, 70 % | 60 % | 0.90 | 1.10 |")
-
-
-def test_rounds_are_means_over_data_sets():
-    rows = [
-        {"n_throws": 100, "n_rounds": 2, "error": [0.1 + 0.2 * k, 0.5, 0.5], "zero_shot": [4.0, 6.0 + k]}
-        for k in (0, 1)
-    ]
-    (row,) = rounds({"in_true_slush": [10.0, 11.0], "rows": rows}).splitlines()[2:]
-    assert row == "| 100 | 2 | 0.20 0.50 0.50 | 5.0, 5.5 | 50 % |"
 
 
 @pytest.mark.parametrize(

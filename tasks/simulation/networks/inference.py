@@ -62,7 +62,7 @@ def _forward(layers: Int64, sizes: Int64, n_vectors: int, x: Pointer, out: Point
                 rows = result
 
 
-run_networks = compiled(_forward, seconds=2)
+run_networks = compiled(_forward, seconds=1)
 
 
 class PackedNetworks:

@@ -16,7 +16,7 @@ from tasks.simulation.rigid_bodies.packing import body_index, pack
 from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
 
-_advance = compiled(step.advance_robots, seconds=30)
+_advance = compiled(step.advance_robots, seconds=12)
 
 _QUANTITIES = ("length_scale", "mass", "inertia", "y", "cos", "sin", "vx", "vy", "omega")
 """Fields of :class:`tasks.world.LinkStates`, and of a link's record."""
@@ -36,7 +36,7 @@ def _advance_robots_with_networks(
         _advance(robots, scene, number, number + 1, trace)
 
 
-_advance_with_networks = compiled(_advance_robots_with_networks, seconds=30)
+_advance_with_networks = compiled(_advance_robots_with_networks, seconds=5)
 
 
 class Robots:

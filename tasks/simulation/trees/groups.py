@@ -17,7 +17,7 @@ from tasks.simulation.trees import layout, packing, step
 from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
 
-advance_kernel = compiled(step.advance, seconds=20)
+advance_kernel = compiled(step.advance, seconds=12)
 _pack_robots = compiled(packing.pack_robots, seconds=2)
 
 
@@ -41,7 +41,7 @@ def _advance_with_networks(
         advance_kernel(block, n_groups, scene, first_step + taken, one, trace, traced)
 
 
-_advance_coupled = compiled(_advance_with_networks, seconds=15)
+_advance_coupled = compiled(_advance_with_networks, seconds=5)
 
 
 @cache
