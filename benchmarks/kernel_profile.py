@@ -82,7 +82,7 @@ def places() -> dict[str, list[tuple[int, int]]]:
     def mapping(address: int) -> tuple[int, int]:
         return next((low, high) for low, high in mappings if low <= address < high)
 
-    return {
+    found = {
         part: [
             mapping(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
             for kernel in kernels
@@ -90,6 +90,9 @@ def places() -> dict[str, list[tuple[int, int]]]:
         ]
         for part, kernels in KERNELS.items()
     }
+    if shared := set.intersection(*(set(memory) for memory in found.values())):
+        raise RuntimeError(f"kernels of several parts lie in one mapping, {shared}: their samples can't be told apart")
+    return found
 
 
 def sampled(data: Path) -> Counter[int]:
@@ -114,12 +117,14 @@ def profile(environment: Environment) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "perf.data"
         command = ["perf", "record", "-e", "cpu-clock", "-F", "997", "-p", str(os.getpid()), "-o", str(data)]
-        recorder = subprocess.Popen([*command, "--", "sleep", str(_SECONDS)], stderr=subprocess.DEVNULL)
+        recorder = subprocess.Popen([*command, "--", "sleep", str(_SECONDS)])
         begun, n_segments = time.process_time(), 0
         while recorder.poll() is None:
             next(running)
             n_segments += 1
         seconds = (time.process_time() - begun) / (n_segments * _N_GENERATIONS)
+        if recorder.returncode != 0:
+            raise RuntimeError(f"perf record failed with exit code {recorder.returncode}; see perf's own message")
         samples = sampled(data)
     found = shares(samples, places())
     return {

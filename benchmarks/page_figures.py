@@ -102,6 +102,30 @@ def over_depths(desk: Recorded) -> Mapping[str, str]:
     }
 
 
+_AIM = 0.97  # share of *E* that robots of designed throws were to retain
+
+
+def aims(desk: Recorded) -> Mapping[str, str]:
+    """Return at how many depths designed throws meet the aim, zero-shot and adapted, and where they miss it most."""
+    found = {}
+    for quantity in ("zero_shot", "adapted"):
+        shares = dict(zip(_depths(desk), _shares(desk, "designed_throws", quantity, quantity), strict=True))
+        worst = min(shares, key=shares.__getitem__)
+        found |= {
+            quantity: f"{sum(share >= _AIM for share in shares.values())}",
+            f"{quantity}_where": f"{worst:g}",
+            f"{quantity}_least": percent(shares[worst]),
+        }
+    return found
+
+
+def aim_is_met_at_9m(desk: Recorded) -> bool:
+    """Whether designed throws meet the aim at the paper's depth, zero-shot and adapted."""
+    return all(
+        _shares(desk, "designed_throws", quantity, quantity)[-1] >= _AIM for quantity in ("zero_shot", "adapted")
+    )
+
+
 def _shares(study: Recorded, environment: str, quantity: str = "zero_shot", of: str = "zero_shot") -> list[float]:
     depths = _depths(study)
     return [mean(study, environment, quantity, depth) / mean(study, "true_slush", of, depth) for depth in depths]

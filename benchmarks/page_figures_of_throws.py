@@ -115,6 +115,39 @@ def throws_matter_most(studies: Recorded) -> bool:
     return max(papers) < 1 / 3 and gaps[1] < gaps[0] and math.isclose(single, fmean(ensembles), rel_tol=2 * EQUAL)
 
 
+def _of_rule(rules: Recorded, arm: str, rule: str, quantity: str = "zero_shot") -> list[float]:
+    chosen = [row for row in rules["rows"] if (row["arm"], row["rule"]) == (arm, rule)]
+    return [value for row in chosen for value in row[quantity]]
+
+
+def _p_of_rule(rules: Recorded, arm: str, rule: str) -> float:
+    """Return p of Welch's t test between a rule and the paper's, zero-shot."""
+    both = (_of_rule(rules, arm, name) for name in (rule, "μ − σ"))
+    return float(scipy.stats.ttest_ind(*both, equal_var=False).pvalue)
+
+
+def p_of_rules(rules: Recorded) -> Mapping[str, str]:
+    """Return p of the rules that are farthest ahead of the paper's, one for each kind of throws."""
+    return {
+        "quartile": f"{_p_of_rule(rules, 'residual_slush', 'lower quartile'):.2f}",
+        "calibrated": f"{_p_of_rule(rules, 'designed_throws', 'μ − k σ, k calibrated'):.2f}",
+    }
+
+
+def no_rule_differs(rules: Recorded) -> bool:
+    """Whether no rule differs from the paper's at 5 %, with either kind of throws."""
+    others = {(row["arm"], row["rule"]) for row in rules["rows"]} - {(row["arm"], "μ − σ") for row in rules["rows"]}
+    return all(_p_of_rule(rules, arm, rule) > 0.05 for arm, rule in others)
+
+
+def designed_throws_need_no_penalty(rules: Recorded) -> bool:
+    """Whether μ alone keeps nine tenths with designed throws, and is exploited in most trials with the paper's."""
+    alone, penalised = (fmean(_of_rule(rules, "designed_throws", rule)) for rule in ("μ", "μ − σ"))
+    predicted, true = (_of_rule(rules, "residual_slush", "μ", quantity) for quantity in ("predicted", "zero_shot"))
+    n_exploiters = sum(reached < prediction / 2 for prediction, reached in zip(predicted, true, strict=True))
+    return alone > 0.9 * penalised and n_exploiters > len(true) / 2
+
+
 def from_100_throws(studies: Recorded) -> Mapping[str, str]:
     """Return the shares of *E* from 100 throws: of designed throws, of the paper's, and with magnitudes as inputs."""
     six, nine = _from_100_throws(studies)
@@ -186,6 +219,14 @@ def own_work(benchmarks: Recorded) -> Mapping[str, str]:
     tables = [median[f"AFPO's own work and its tables, {arm}"] - of for arm, of in zip(arms, own, strict=True)]
     ends = {"low": min(own), "high": max(own), "low_tables": min(tables), "high_tables": max(tables)}
     return {name: f"{end:.0f}" for name, end in ends.items()}
+
+
+def times_of_true_slush(profile: Recorded) -> Mapping[str, str]:
+    """Return how much longer a generation takes with the smallest and the largest of the profiled networks."""
+    seconds = {row["environment"]: row["seconds"] for row in profile["rows"]}
+    networks = [of for name, of in seconds.items() if name.startswith("Residual Slush")]
+    least, most = (of(networks) / seconds["True Slush"] for of in (min, max))
+    return {"least": f"{least:.0f}", "most": f"{most:.0f}"}
 
 
 def shares_of_peak(profile: Recorded) -> Mapping[str, str]:

@@ -15,7 +15,8 @@ def export(
     study: StudyArgument,
     out: Annotated[Path, typer.Option("--out", help="A new folder, or an earlier export to replace.")],
     tables: Annotated[
-        list[str] | None, typer.Option("--table", help="Write this table and no other that is not named; none: all.")
+        list[str] | None,
+        typer.Option("--table", help="Write only this table; repeat for several. Default: all tables."),
     ] = None,
     kind: Annotated[Literal["parquet", "csv"], typer.Option("--format", help="Format of the tables.")] = "parquet",
     store: StorePath = DEFAULT_STORE,

@@ -146,8 +146,9 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
         notes += filter(None, [found.other_code])
     if n_unreached:
         notes.append(
-            f"{n_unreached:,} items are on record, but something that they were made from is missing, damaged or of "
-            f"another version of puddle. The next `puddle study` computes that again, and uses them if it is the same."
+            f"{n_unreached:,} item{'s are' if n_unreached > 1 else ' is'} on record, made from something that is "
+            f"missing, damaged or of another version of puddle. The next `puddle study` computes that again, and uses "
+            f"what is then the same."
         )
     return StudyStatus(settings.name, str(store.root), driver, tuple(stages), tuple(notes))
 

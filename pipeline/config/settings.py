@@ -247,6 +247,12 @@ class Settings(Parameters):
                 "physics.passive_joints is locked, so motors decide which links form one body: "
                 "expected evolution.morphology.n_actuated, the number of motors"
             )
+        if self.physics.range_of_motion != "amplitude" and self.evolution.morphology.constrains_gaits:
+            raise ValueError(
+                f"physics.range_of_motion is {self.physics.range_of_motion}, but evolution.morphology limits gaits whose "
+                "amplitude it is: expected amplitude, or max_joint_speed to be null and unjoined_links not to be "
+                "apart_in_gait"
+            )
         if self.replicates > self.grid.n_trials:
             raise ValueError(
                 f"replicates is {self.replicates} and grid.n_trials is {self.grid.n_trials}, so some data sets would "

@@ -106,7 +106,9 @@ def _ensembles(regressions: Sequence[Regression]) -> dict[str, tuple[str, _Fits]
 
 def _of_others(names: Sequence[str], ensembles: Mapping[str, tuple[str, _Fits]]) -> str:
     drawn = [ensembles[name][0].removeprefix("ensemble, ") for name in names if name in ensembles and name != _MEAN]
-    return f"The last panel shows the ensemble that learned from {' and '.join(drawn)}. " if drawn else ""
+    if len(drawn) > 1:
+        return f"The last panels show the ensembles that learned from {' and '.join(drawn)}. "
+    return f"The last panel shows the ensemble that learned from {drawn[0]}. " if drawn else ""
 
 
 def _outside(n_outside: Any) -> str:

@@ -124,8 +124,8 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
     figure = Figure(figsize=(FIGURE_WIDTH, 2.8 * len(drawn) + 1.0), layout="constrained")
     panels = figure.subplots(len(drawn), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for panel, measure in zip(panels, drawn, strict=True):
-        for k, (environment, points) in enumerate(lines[measure].items()):
-            style, shift = ENVIRONMENTS[environment], 0.07 * (k - (len(lines[measure]) - 1) / 2)
+        for environment, points in lines[measure].items():
+            style, shift = ENVIRONMENTS[environment], 0.07 * (present.index(environment) - (len(present) - 1) / 2)
             at = [listed.index(depth) + shift for depth, _ in points]
             mean, sd = np.array([(found.mean, found.sd or 0.0) for _, found in points]).T
             panel.errorbar(at, mean, sd, color=style.color, marker=style.marker, ms=5, elinewidth=0.9)

@@ -19,7 +19,7 @@ def compiling(physics: Physics) -> Iterator[None]:
         physics: constants of the base simulator, which decide on the kernels.
     """
     process = subprocess.Popen(
-        [sys.executable, "-m", "tasks.evolution.kernels", physics.model_dump_json()],
+        [sys.executable, "-m", "tasks.evolution.compilation", physics.model_dump_json()],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

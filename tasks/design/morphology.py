@@ -183,8 +183,8 @@ def sample_allowed(
     if waiting.size:
         if otherwise is None:
             raise DesignError(
-                f"design {waiting[0]}: none of {n_drawn} samples is allowed where unjoined_links is "
-                f"{morphology.unjoined_links} and max_joint_speed is {morphology.max_joint_speed}, expected one"
+                f"design {waiting[0]}: {n_drawn:,} samples were drawn and none is allowed by unjoined_links="
+                f"{morphology.unjoined_links} and max_joint_speed={morphology.max_joint_speed}, expected at least one"
             )
         n_draws[waiting] += 1
         found.append(otherwise[waiting])

@@ -61,7 +61,7 @@ def test_what_was_made_from_a_lost_item_is_not_missing(options, store, capsys):
     by_stage = {stage["stage"]: stage for stage in status["stages"]}
     assert by_stage["evolve"]["state"] == "started" and by_stage["evolve"]["n_done"] == 1  # of 2
     assert {by_stage[name]["state"] for name in ("transfer", "analyse", "report")} == {"done"}
-    assert "items are on record" in status["notes"][-1]
+    assert "on record, made from something that is missing" in status["notes"][-1]
     assert call("study", "--workers", "0", *options) == 0  # computes the one item, and uses the rest again
     assert states(status_of(capsys, *options)) == {"done"}
 

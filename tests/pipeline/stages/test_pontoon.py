@@ -97,6 +97,14 @@ def test_locked_joints_need_a_number_of_motors():
         parse(Settings, "physics: {passive_joints: locked}", name="mine")
 
 
+@pytest.mark.parametrize("limit", ["max_joint_speed: 1.0", "unjoined_links: apart_in_gait"])
+def test_limits_of_gaits_take_the_range_of_motion_as_an_amplitude(limit):
+    gaits = f"evolution: {{morphology: {{{limit}}}}}"
+    with pytest.raises(PuddleError, match=r"range_of_motion is peak_to_peak.*expected amplitude"):
+        parse(Settings, f"physics: {{range_of_motion: peak_to_peak}}\n{gaits}", name="mine")
+    assert parse(Settings, gaits, name="mine").evolution.morphology.constrains_gaits
+
+
 def test_a_tank_needs_a_step_of_settling():
     with pytest.raises(PuddleError, match=r"rollout\.n_settle is 0.*tank.*expected at least 1"):
         parse(Settings, "rollout: {n_settle: 0}\ntank: {}", name="mine")

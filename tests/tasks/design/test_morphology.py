@@ -142,7 +142,9 @@ def test_draws_end() -> None:
         assert len(which) <= MAX_BATCH
         return bad.table[np.zeros(len(which), int)]
 
-    with pytest.raises(DesignError, match="design 0: none of 1000 samples is allowed where unjoined_links is apart"):
+    with pytest.raises(
+        DesignError, match="design 0: 1,000 samples were drawn and none is allowed by unjoined_links=apart"
+    ):
         sample_allowed(draw(np.arange(2)), draw, APART, max_draws=1000)
     assert n_asked == 2000
     instead = sample_allowed(draw(np.arange(2)), draw, APART, max_draws=1000, otherwise=good.table[[0, 0]])

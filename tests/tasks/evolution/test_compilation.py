@@ -12,7 +12,7 @@ from tasks.world import Physics
 _CALLED = """
 import sys
 from tasks.design import body, genes, variation
-from tasks.evolution.kernels import compile_kernels
+from tasks.evolution.compilation import compile_kernels
 from tasks.simulation.rigid_bodies import engine
 from tasks.simulation.trees import groups
 from tasks.world import Physics
@@ -38,7 +38,7 @@ def test_an_evolution_finds_every_kernel_compiled(link_collisions: bool) -> None
 
 
 def test_the_module_compiles_for_the_physics_that_it_is_given() -> None:
-    command = [sys.executable, "-m", "tasks.evolution.kernels"]
+    command = [sys.executable, "-m", "tasks.evolution.compilation"]
     subprocess.run([*command, Physics().model_dump_json()], check=True, timeout=300)
     refused = subprocess.run([*command, '{"gravity": "up"}'], capture_output=True, text=True, timeout=300, check=False)
     assert refused.returncode == 1
