@@ -249,8 +249,8 @@ class Settings(Parameters):
             )
         if self.physics.range_of_motion != "amplitude" and self.evolution.morphology.constrains_gaits:
             raise ValueError(
-                f"physics.range_of_motion is {self.physics.range_of_motion}, but evolution.morphology limits gaits whose "
-                "amplitude it is: expected amplitude, or max_joint_speed to be null and unjoined_links not to be "
+                f"physics.range_of_motion is {self.physics.range_of_motion}, but evolution.morphology limits gaits, of "
+                "which it is the amplitude: expected amplitude, or no max_joint_speed and unjoined_links other than "
                 "apart_in_gait"
             )
         if self.replicates > self.grid.n_trials:

@@ -1,6 +1,7 @@
 """Compilation of the kernels that an evolution needs.
 
-`python -m tasks.evolution.compilation PHYSICS` compiles them for physics whose settings are given as JSON. A study runs it beside its first stages, so that no worker waits long for a kernel that its machine has never compiled.
+`python -m tasks.evolution.compilation PHYSICS` compiles them for physics whose settings are given as JSON. A study runs
+it beside its first stages, so that no worker waits long for a kernel that its machine has never compiled.
 """
 
 import sys
