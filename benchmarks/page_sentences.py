@@ -362,7 +362,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
     "docs/bench-robot.md": (
         _recorded(
             "its three champions were predicted to travel {predicted_1}, {predicted_2} and {predicted_3} m and "
-            "travelled {true_1}, {true_2} and {true_3} m in 2 m of true slush. The proposed one, the third, crosses "
+            "travelled {true_1}, {true_2} and {true_3} m in 2 m of true slush. The proposed one, the first, crosses "
             "the tank in {seconds} s of simulation, {bench_seconds} s on the bench, {speed} mm/s; on the tank's dry "
             "floor it advances {advanced} of {of} cm in 150 s.",
             "raft",

@@ -2,10 +2,12 @@
 
     python -m benchmarks.throws_studies STORE throws-studies    # the penalty and the members
     python -m benchmarks.throws_studies STORE few-throws        # the number of throws
+    python -m benchmarks.throws_studies STORE few-throws-desk   # the same at the paper's scale of evolution
 
-Each variant is a study of the store, with three data sets and ensembles and two trials in each. Writes
-docs/results/throws-studies.json or few-throws.json, which docs/throws.md shows. A run that is stopped resumes. Each
-takes three quarters of an hour on two cores.
+Each variant is a study of the store, with three data sets and ensembles and two trials in each; at the paper's scale
+with one trial in each. Writes docs/results/throws-studies.json, few-throws.json or few-throws-desk.json, which
+docs/throws.md shows. A run that is stopped resumes. The first two take three quarters of an hour on two cores each, the
+last a quarter.
 """
 
 from __future__ import annotations
@@ -32,7 +34,12 @@ _BASE = {
     "replicates": str(N_REPLICATES),
     "assess.n_designs": "600",
 }
-SERIES = {"throws-studies": ("penalty", "members"), "few-throws": ("few throws", "few throws, magnitudes")}
+_AT_PAPERS_SCALE = {"grid.environments": "[true_slush,designed_throws]", "grid.n_trials": "3", "assess.n_designs": "60"}
+SERIES = {
+    "throws-studies": ("penalty", "members"),
+    "few-throws": ("few throws", "few throws, magnitudes"),
+    "few-throws-desk": ("few throws, the paper's scale",),
+}
 _MAGNITUDES = "[a,y,cos_angle,vx,vy,omega,speed,abs_omega,abs_sin_angle]"
 
 
@@ -44,6 +51,7 @@ class Variant:
     name: str  # of the study
     label: str
     settings: Mapping[str, str]
+    preset: str = "laptop"
 
 
 def variants() -> Iterator[Variant]:
@@ -63,13 +71,17 @@ def variants() -> Iterator[Variant]:
         size = {"designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
         observed = {"network.observation": _MAGNITUDES, "grid.environments": "[true_slush,designed_throws]"}
         yield Variant("few throws, magnitudes", f"few-{n}-magnitudes", f"{n} × 200", size | observed)
+    for n in (100, 250, 500):
+        size = {"designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
+        series = "few throws, the paper's scale"
+        yield Variant(series, f"few-{n}-desk", f"{n} × 200", size | _AT_PAPERS_SCALE, "desk")
 
 
 def run(variant: Variant, store: Path) -> None:
     """Compute a study, or resume it."""
     given = {**_BASE, **variant.settings, "name": variant.name}
     options = [part for name, value in given.items() for part in ("--set", f"{name}={value}")]
-    command = [sys.executable, "-m", "pipeline", "study", "--preset", "laptop", "--store", str(store), *options]
+    command = [sys.executable, "-m", "pipeline", "study", "--preset", variant.preset, "--store", str(store), *options]
     subprocess.run(command, check=True)
 
 

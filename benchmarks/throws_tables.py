@@ -64,7 +64,7 @@ def few_throws(results: Mapping[str, Any]) -> str:
         "| throws × steps | of | inputs | predicted | zero-shot | adapted | share of *E*, of each data set | adapted |",
         "|--:|---|--:|--:|--:|--:|--:|--:|",
     ]
-    for study in _series(results, "few throws", "few throws, magnitudes"):
+    for study in _series(results, "few throws", "few throws, magnitudes", "few throws, the paper's scale"):
         inputs = "9" if "magnitudes" in study["series"] else "6"
         for environment, of in (("residual_slush", "paper"), ("designed_throws", "robots")):
             if cells := _of_arm(study, environment):
