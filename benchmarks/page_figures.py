@@ -102,6 +102,7 @@ def over_depths(desk: Recorded) -> Mapping[str, str]:
     }
 
 
+_PONTOON_SCALE = 0.07  # metres of the bench per metre of simulation
 _AIM = 0.97  # share of *E* that robots of designed throws were to retain
 
 
@@ -159,6 +160,54 @@ def differences(replicates: Recorded) -> Mapping[str, str]:
         ends = (("", gap.value), ("_low", gap.low), ("_high", gap.high))
         found |= {f"{name}{end}": f"{metres:z.1f}".replace("-", "−") for end, metres in ends}
     return found
+
+
+def robots_to_build(pontoon: Recorded) -> Mapping[str, str]:
+    """Return where the champions of the robot to build get, how the proposed one fares in the tank, and its kit."""
+    of_proposed = [row["proposed"][0] for row in pontoon["tank"]]
+    metrics, counts = pontoon["kit"]["metrics"], pontoon["n_champions"]
+    margins = [f"{value:.2f}" for name, value in sorted(metrics.items()) if name.startswith("margin.")]
+    held = [champion for champion in pontoon["champions"] if not _exploits(champion)]
+    (worst,) = (champion for champion in pontoon["champions"] if _exploits(champion))
+    hours = sum(pontoon["core_seconds"].values()) / 3600
+    outside = {row["trial"]: row["share_outside"] for row in pontoon["outside"]}
+    return {
+        **{
+            name: f"{pontoon['arms'][0][quantity]['mean']:.0f} ± {pontoon['arms'][0][quantity]['sd']:.0f}"
+            for name, quantity in (("predicted", "predicted"), ("true", "zero_shot"))
+        },
+        **dict(zip(("wet", "dry", "still"), map(str, of_proposed), strict=False)),
+        "held": f"{len(held)}",
+        "least": percent(min(champion["zero_shot"] / champion["predicted"] for champion in held)),
+        "worst_predicted": f"{worst['predicted']:.0f}",
+        "worst_true": f"{worst['zero_shot']:.1f}".replace("-", "−"),
+        "sigma": f"{worst['predicted_sd']:.2f}",
+        "outside": percent(outside.pop(worst["trial"])),
+        "outside_least": percent(min(outside.values())),
+        "outside_most": percent(max(outside.values())),
+        "crossing": f"{counts['cross the filled tank in every trial']}",
+        "as_papers": f"{counts['and its dry floor in none']}",
+        "height": f"{100 * _PONTOON_SCALE * pontoon['proposed']['wet_height']:.0f}",
+        "faults": f"{metrics['n_faults']:.0f}",
+        **dict(zip(("margin_1", "margin_2"), margins, strict=True)),
+        "core_hours": f"{hours:.1f}",
+        "hours": f"{hours / 2:.1f}",
+    }
+
+
+def _exploits(champion: Recorded) -> bool:
+    """Whether a champion travels less than half of its prediction."""
+    travels: float = champion["zero_shot"] / champion["predicted"]
+    return travels < 1 / 2
+
+
+def one_exploits(pontoon: Recorded) -> bool:
+    """Whether one champion exploits its networks unnoticed, and most trials with a servo's torque cross the floor."""
+    outside = {row["trial"]: row["share_outside"] for row in pontoon["outside"]}
+    (worst,) = (champion["trial"] for champion in pontoon["champions"] if _exploits(champion))
+    of_others = [share for trial, share in outside.items() if trial != worst]
+    crossed, n = pontoon["tank"][3]["all"]
+    return min(of_others) < outside[worst] < max(of_others) and crossed > n / 2
 
 
 def always_ahead(desk: Recorded) -> bool:

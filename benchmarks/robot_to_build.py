@@ -15,7 +15,7 @@ from benchmarks.published import RESULTS
 from pipeline.results.recorded_study import open_study
 from pipeline.results.results_file import results_of
 
-STUDY = "pontoon"
+_STUDY = "pontoon"
 _TESTS = {
     "wet_trials_n_crossed": ("crosses the filled tank", (8, 8)),
     "dry_trials_n_crossed": ("crosses its dry floor, with the simulation's motors of 30 N·m", (0, 6)),
@@ -43,14 +43,14 @@ def tank_rows(tank: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def main() -> None:
     """Write the file."""
     store, kit = (Path(argument) for argument in sys.argv[1:])
-    study, made = open_study(STUDY, store), json.loads((kit / "kit.json").read_text(encoding="utf-8"))
+    study, made = open_study(_STUDY, store), json.loads((kit / "kit.json").read_text(encoding="utf-8"))
     results, tank = results_of(study), study.table("tank").to_pylist()
     (proposed,) = (row for row in tank if row["proposed"])
     crossed = [row for row in tank if row["wet_trials_n_crossed"] == row["wet_trials_n"]]
     document = {
         "schema": "puddle.robot_to_build",
         "version": 1,
-        "made_with": results["made_with"],
+        "made_with": results["made_with"] | {"recorded at": results["made_with"]["commit"][:7]},
         "digests": results["digests"],
         "core_seconds": results["core_seconds"],
         "arms": results["arms"],
@@ -63,6 +63,11 @@ def main() -> None:
             "fit into the filled tank": sum(not row["wet_misfit"] for row in tank),
         },
         "proposed": {name: value for name, value in proposed.items() if value == value},  # without NaN
+        "outside": [
+            {"trial": row["trial"], "share_outside": row["share_outside"]}
+            for row in study.table("champion_coverage").to_pylist()
+            if row["component"] == "all"
+        ],
         "kit": {"metrics": made["metrics"], "findings": made["findings"]},
     }
     (RESULTS / "pontoon.json").write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
