@@ -1,4 +1,4 @@
-"""puddle suggest-throws: which throws would teach the networks most."""
+"""puddle suggest-throws: which throws to make next."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,7 +23,7 @@ def suggest_throws(
     out: Annotated[Path | None, typer.Option("--out", help="Write the starts (.csv).")] = None,
     scale: Annotated[
         float | None,
-        typer.Option("--scale", min=1.0, help="Bench mm per metre of simulation, such as 70: starts in bench units."),
+        typer.Option("--scale", min=1.0, max=1000.0, help="Bench mm per metre of simulation, such as 70: starts in bench units."),
     ] = None,
     max_speed: Annotated[
         float | None, typer.Option("--max-speed", min=0.0, help="Fastest throw that you can make [m/s].")
@@ -38,34 +38,44 @@ def suggest_throws(
     sheet: Annotated[Path | None, typer.Option("--sheet", help="Write a page to print (.html).")] = None,
     store: StorePath = DEFAULT_STORE,
 ) -> None:
-    """List the starts of throws that would teach a study's networks most.
+    """List the starts of throws that fill the holes in what a study's networks learned from.
 
     The first half covers the range of robots' states evenly. The other half are states that robots pass through, where
     the members disagree far from every throw. Limits and results are in the simulation's units, or with --scale in
     those of a bench, by Froude's law.
     """
     import math
+    import shlex
 
     from pipeline.config.loading import load
     from pipeline.results.recorded_study import open_study
     from pipeline.results.suggested_throws import TankScale, as_csv, as_lines, as_sheet, suggested_throws
     from pipeline.store import disk
     from pipeline.vision.markers_file import Markers
+    from pipeline.workflow.stage import MissingInputs
     from tasks.residual.suggestion import ThrowLimits
 
     if scale is None and (sheet or markers):
         raise PuddleError("--sheet and --markers are for a tank: expected its scale in mm per metre, --scale 70")
-    if heights is not None and heights[0] >= heights[1]:
+    if heights is not None and not heights[0] < heights[1]:
         raise PuddleError(f"--heights: expected the lowest first, got {heights[0]:g} {heights[1]:g}")
+    if out is not None and sheet is not None and out.resolve() == sheet.resolve():
+        raise PuddleError(f"--sheet: expected another file than that of --out, got {sheet}")
     bench = TankScale(1.0 if scale is None else scale / 1000)
     bars = () if markers is None else load(Markers, markers).bars
+    if markers is not None and not bars:
+        raise PuddleError(f"--markers: expected bars to throw, found none in {markers}")
     limits = ThrowLimits(
         max_velocity=math.inf if max_speed is None else max_speed / bench.speed,
         max_omega=math.inf if max_spin is None else 2 * math.pi * max_spin * bench.time,
         heights=(-math.inf, math.inf) if heights is None else (heights[0] / bench.scale, heights[1] / bench.scale),
         lengths=tuple(bar.length / bench.scale for bar in bars),
     )
-    starts = suggested_throws(open_study(study, store), n, throws, limits)
+    try:
+        starts = suggested_throws(open_study(study, store), n, throws, limits)
+    except MissingInputs as missing:
+        again = shlex.join(["puddle", "pilot", "--study", study, "--store", str(store)])
+        raise PuddleError(f"study {study}: {missing}. Run the stages up to pilot first, the last by `{again}`.") from None
     for line in as_lines(starts, bench):
         to_stdout(line)
     for path, content in (

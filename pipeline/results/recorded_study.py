@@ -234,7 +234,10 @@ class Study:
         known = data_sets(self.settings)
         if not known:
             arms = ", ".join(self.settings.grid.environments)
-            raise PuddleError(f"study {self.name} has no networks: none of {arms} needs them")
+            raise PuddleError(
+                f"study {self.name} has no networks: its grid.environments are {arms}, expected one that learns from "
+                f"throws, such as residual_slush"
+            )
         wanted = [
             data_set
             for data_set in known

@@ -1,4 +1,4 @@
-"""The throws that would teach a recorded study's networks most."""
+"""Throws that fill the holes in what a recorded study's networks learned from."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -59,7 +59,8 @@ def suggested_throws(study: Study, n: int, throws: str | None = None, limits: Th
         n starts.
 
     Raises:
-        PuddleError: n or the heights are out of range, or the study has no such ensemble, no pilots or no throws.
+        PuddleError: n, the heights or the bars are out of range, or the study has no such ensemble.
+        MissingInputs: throws, networks or pilots of the study are not done.
     """
     if not 1 <= n <= MOST:
         raise PuddleError(f"--n: expected 1 to {MOST:,} throws, got {n:,}")

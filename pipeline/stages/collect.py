@@ -170,20 +170,23 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             f"{name}{name and ': '}{n_throws:,} throws, {len(transitions):,} transitions; "
             f"{wet.mean():.0%} touch slush, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
         )
-        lines += [_ranges_line(store, part) for part in list(done.values())[:1] if _RANGES in part.files]
+        n_steps = int(transitions.step.max()) + 1
+        lines += [_ranges_line(store, part, n_steps) for part in list(done.values())[:1] if _RANGES in part.files]
         figures = {"wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet}
         counts = {"n_throws": float(n_throws), "n_transitions": float(len(transitions))}
         metrics |= {f"{data_set.prefix.replace('/', '.')}{name}": x for name, x in {**counts, **figures}.items()}
     return Summary(lines=lines or ["no throws"], metrics=metrics)
 
 
-def _ranges_line(store: Store, chunk: Manifest) -> str:
-    """State the ranges that designed throws start in."""
+def _ranges_line(store: Store, chunk: Manifest, n_steps: int) -> str:
+    """State the ranges that designed throws start in, and for how many steps they are followed."""
     ranges = decode_json(store.read(chunk, _RANGES), _RANGES)
+    longer = f", of which the first {ranges['n_steps']} are worth following"
     return (
         f"    designed for links of {ranges['length_scale'][0]:g} to {ranges['length_scale'][1]:g} m within "
-        f"± {ranges['y_reach']:g} m of the surface, at up to {ranges['max_velocity']:.1f} m/s and "
-        f"{ranges['max_omega']:.1f} rad/s, followed for {ranges['n_steps']} steps"
+        f"± {ranges['y_reach']:g} m of the surface, vx and vy within ± {ranges['max_velocity']:.1f} m/s and ω within "
+        f"± {ranges['max_omega']:.1f} rad/s, followed for {n_steps} steps"
+        f"{longer if n_steps > ranges['n_steps'] else ''}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Which throws to make next: starts that would teach an ensemble most about the states of robots.
+"""Which throws to make next: starts that fill the holes in what an ensemble learned from.
 
 The first half of them covers the range of robots' states evenly. The other half fills holes: states that pilot robots
 pass through, far from every throw, and where members disagree. States beyond the range of robots are left out, because
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _A, _Y, _COS, _VX, _VY, _OMEGA = range(len(OBSERVATION))
 _SHARE_OF_HOLES = 0.5
+_NEARLY = 1.1  # bars may be shorter and longer than robots' links by this factor
 
 
 @dataclass(frozen=True)
@@ -60,13 +61,15 @@ def suggest_throws(
         Starts, numbered from 0.
 
     Raises:
-        ValueError: n is less than 1, there are no throws, or robots' links are at none of the heights.
+        ValueError: n is less than 1, there are no throws, robots' links are at none of the heights, or no bar is as
+            long as a robot's link.
     """
     if n < 1:
         raise ValueError(f"n is {n}, expected at least 1 throw")
     physics = physics or Physics()
     limits = limits or ThrowLimits()
     ranges = robot_ranges(physics)
+    _check_bars(ranges, limits)
     least = (limits.max_velocity, limits.max_omega)
     narrow = replace(ranges, max_velocity=min(ranges.max_velocity, least[0]), max_omega=min(ranges.max_omega, least[1]))
     pilots = pilots[_within_range(pilots, narrow) & _possible(pilots, limits)]
@@ -89,6 +92,13 @@ def _heights(ranges: RobotRanges, limits: ThrowLimits) -> tuple[float, float]:
             f"of the surface, where robots' links are"
         )
     return low, high
+
+
+def _check_bars(ranges: RobotRanges, limits: ThrowLimits) -> None:
+    shortest, longest = ranges.length_scale
+    if limits.lengths and not any(shortest / _NEARLY <= length <= longest * _NEARLY for length in limits.lengths):
+        bars = " and ".join(f"{length:g}" for length in sorted(limits.lengths))
+        raise ValueError(f"bars are {bars} m long, expected one of {shortest:g} to {longest:g} m, as robots' links are")
 
 
 def _possible(pilots: Float32, limits: ThrowLimits) -> Bools:

@@ -1,4 +1,4 @@
-"""puddle suggest-throws: the throws that would teach a study's networks most."""
+"""puddle suggest-throws: which throws to make next."""
 
 import csv
 
@@ -55,6 +55,33 @@ def test_at_a_tank_they_are_in_bench_units_and_within_what_can_be_thrown(recorde
     assert page.count("<tr>") == 13 and "12 throws to make" in page and "70 mm" in page
 
 
+def test_a_study_whose_pilots_are_missing(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["collect", "--preset", "smoke", "--set", "throws.design=robots", "--workers", "0", "--store", str(tmp_path)])
+    assert "ω within ± 6.1 rad/s, followed for 100 steps, of which the first 29 are" in capsys.readouterr().err
+    assert call("--study", "smoke", "--store", tmp_path) == 2
+    said = capsys.readouterr().err
+    assert "study smoke: train of member-00 is not done. Run the stages up to pilot first" in said
+
+
+@pytest.mark.parametrize(
+    ("bars", "message"),
+    [
+        ("", "--markers: expected bars to throw, found none in"),
+        (
+            "bars: [{length: 0.7, width: 0.1, mass: 0.2, tags: [{number: 4, size: 0.02}]}]",
+            "bars are 10 m long, expected one of 1 to 3 m, as robots' links are (in units of the simulation)",
+        ),
+    ],
+)
+def test_bars_that_no_robot_resembles_are_refused(recorded, tmp_path, bars, message, capsys):
+    markers = tmp_path / "markers.yaml"
+    markers.write_text(MARKERS.partition("bars:")[0] + bars)
+    assert call("--study", "tiny", "--store", recorded, "--scale", 70, "--markers", markers) == 2
+    said = capsys.readouterr().err.strip()
+    assert message in said and len(said.splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -64,6 +91,8 @@ def test_at_a_tank_they_are_in_bench_units_and_within_what_can_be_thrown(recorde
         (("--study", "missing"), "missing"),
         (("--sheet", "throws.html"), "expected its scale in mm per metre, --scale 70"),
         (("--heights", 1, -1), "--heights: expected the lowest first, got 1 -1"),
+        (("--heights", "nan", 1), "--heights: expected the lowest first, got nan 1"),
+        (("--out", "throws.csv", "--sheet", "./throws.csv", "--scale", 70), "expected another file than that of --out"),
         (("--out", "/nowhere/throws.csv"), "writing throws"),
     ],
 )

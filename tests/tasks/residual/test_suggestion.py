@@ -1,4 +1,4 @@
-"""Which throws would teach an ensemble most."""
+"""Which throws to make next."""
 
 import numpy as np
 import pytest
@@ -87,6 +87,14 @@ def test_heights_at_which_no_robot_has_a_link_are_refused():
     limits = ThrowLimits(heights=(4.0, 5.0))
     with pytest.raises(ValueError, match="heights are 4 to 5 m, expected some within 3 m of the surface"):
         suggest_throws(4, states(200, 1), states(50, 2), ensemble(), np.random.default_rng(5), limits=limits)
+
+
+def test_bars_are_refused_if_none_is_like_a_link():
+    start = (states(200, 1), states(50, 2), ensemble(), np.random.default_rng(5))
+    with pytest.raises(ValueError, match=r"bars are 0.5 and 4 m long, expected one of 1 to 3 m"):
+        suggest_throws(4, *start, limits=ThrowLimits(lengths=(4.0, 0.5)))
+    starts = suggest_throws(4, *start, limits=ThrowLimits(lengths=(4.0, 0.99)))
+    assert set(starts.length_scale) <= {4.0, 0.99}
 
 
 def test_a_number_below_one_is_refused():
