@@ -265,8 +265,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
     "docs/throws.md": (
         _recorded("links of robots move at {slow} to {fast} m/s, turn at less than {spin} rad/s", "links"),
         Sentence(
-            "The paper's throws leave errors as large as the residual itself. Designed throws leave a fifth, with as "
-            "many transitions, and still a quarter with a fifth of them.",
+            "The paper's throws leave errors nearly as large as the residual itself, in ω about half. Designed throws "
+            "leave a fifth, with as many transitions, and still a quarter with a fifth of them.",
             (THROWS,),
             holds=of_throws.errors_hold,
         ),
@@ -296,11 +296,22 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             lambda *studies: all(float(figures.magnitudes(*studies)[name]) > 0.05 for name in ("p_less", "p_farther")),
         ),
         Sentence(
-            "With the paper's throws no k and no number of members lets robots keep a third of *E* on average. A "
-            "larger k brings the prediction closer to the truth, but only because predictions fall, not because robots "
-            "travel farther. With designed throws a single network's robots go about as far as an ensemble's.",
+            "In these studies no k and no number of members lets robots of the paper's throws keep a third of *E* on "
+            "average. A larger k brings the prediction closer to the truth, but only because predictions fall, not "
+            "because robots travel farther.",
             (STUDIES,),
             holds=of_throws.throws_matter_most,
+        ),
+        Sentence(
+            "With designed throws a single network's robots go about as far as an ensemble's at this scale.",
+            (STUDIES,),
+            holds=of_throws.single_networks_suffice,
+        ),
+        Sentence(
+            "at 9 m robots of a single network keep {single} % of *E*, those of four {ensemble} % (p = {p}), and "
+            "{exploiters} of 10 exploit the single network, none the ensemble.",
+            (DESK,),
+            of_throws.ensembles_matter,
         ),
         Sentence(
             "No rule differs from μ − σ beyond chance: by Welch's t test p = {quartile} for the lower quartile with "
@@ -324,9 +335,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             of_throws.below_the_aim,
         ),
         _recorded(
-            "Three members in place of four keep {three} % in place of {four} % on average over four sets of the "
-            "paper's throws",
-            "members",
+            "over four other sets of the paper's throws, three members keep {three} % and four keep {four} %", "members"
         ),
         _recorded(
             "{papers} % of the states of robots evolved in 9 m of *E* are outside the paper's throws, and {designed} % "

@@ -20,7 +20,8 @@ def errors(results: Mapping[str, Any]) -> str:
     lines = [f"| {' | '.join(headings)} |", "|---|--:|---|" + "--:|" * (len(headings) - 3)]
     for row in results["errors"]:
         size = f"{row['n_throws']:,} × {row['n_steps']}"
-        cells = [row["throws"], size, row["network"], str(row["inputs"]), f"{row['seconds']:.0f}"]
+        throws = f"{row['throws']} †" if row.get("forerunner") else row["throws"]
+        cells = [throws, size, row["network"], str(row["inputs"]), f"{row['seconds']:.0f}"]
         cells += [" ".join(f"{error:.2f}" for error in row["error"][depth]) for depth in depths]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
@@ -55,21 +56,23 @@ def inference(results: Mapping[str, Any]) -> str:
         rate = f"{n_evaluations / row['seconds'] / 1e6:.1f} million/s" if row["inputs"] else ""
         cells = (*network, f"{1e3 * row['seconds']:.0f} ms", rate)
         lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", f"Measured at commit {of['made_with']['commit'][:7]}."]
     return "\n".join(lines)
 
 
 def few_throws(results: Mapping[str, Any]) -> str:
     """Tabulate how far robots get with few throws, by the throws and the inputs of the networks."""
     lines = [
-        "| throws × steps | of | inputs | predicted | zero-shot | adapted | share of *E*, of each data set | adapted |",
-        "|--:|---|--:|--:|--:|--:|--:|--:|",
+        "| throws × steps | of | inputs | predicted | zero-shot | exploiters | adapted "
+        "| share of *E*, of each data set | adapted |",
+        "|--:|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for study in _series(results, "few throws", "few throws, magnitudes", "few throws, the paper's scale"):
         inputs = "9" if "magnitudes" in study["series"] else "6"
         for environment, of in (("residual_slush", "paper"), ("designed_throws", "robots")):
             if cells := _of_arm(study, environment):
                 lines.append(f"| {' | '.join([study['variant'], of, inputs, *cells])} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_best_of_studies(results)])
 
 
 def penalty(results: Mapping[str, Any]) -> str:
@@ -97,7 +100,7 @@ def rounds(results: Mapping[str, Any]) -> str:
         each = ", ".join(table_cells.signed(f"{mean:z.1f}") for mean in means)
         share = table_cells.share({"mean": fmean(means)}, {"mean": best})
         lines.append(f"| {group[0]} | {group[1]} | {error} | {each} | {share} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_best(results["in_true_slush"])])
 
 
 def rules(results: Mapping[str, Any]) -> str:
@@ -116,7 +119,25 @@ def rules(results: Mapping[str, Any]) -> str:
         cells = [f"{rule} ({', '.join(ks)})" if ks else rule, ENVIRONMENTS[arm].label, *means]
         cells += [exploiters(zip(predicted, true, strict=True)), shares, table_cells.share({"mean": fmean(true)}, best)]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_best(results["in_true_slush"])])
+
+
+def _best(zero_shot: Sequence[float]) -> list[str]:
+    """Say below a table what its shares are of."""
+    return [
+        "",
+        f"*E* travels {table_cells.mean({'mean': fmean(zero_shot), 'sd': stdev(zero_shot)})} m (n = {len(zero_shot)}).",
+    ]
+
+
+def _best_of_studies(results: Mapping[str, Any]) -> list[str]:
+    """Say the same below a table of studies, which share the robots of *E*."""
+    each = {
+        tuple(one["zero_shot"] for one in study["champions"] if one["environment"] == "true_slush")
+        for study in results["studies"]
+    }
+    assert len(each) == 1, "studies of a table have the same robots of E"
+    return _best(each.pop())
 
 
 def exploiters(predicted_and_true: Iterable[tuple[float, float | None]]) -> str:
@@ -138,10 +159,8 @@ def _by_variant(results: Mapping[str, Any], series: str, heading: str, arms: Seq
                 kind = ENVIRONMENTS[environment]
                 fit = fits.get(kind.learns_from, {}) if kind.networks == "all" else {}  # of the members' mean
                 shown = [table_cells.figure(fit[name]) if name in fit else "" for name in ("r", "slope")]
-                champions = [one for one in study["champions"] if one["environment"] == environment]
-                found = exploiters((one["predicted"], one["zero_shot"]) for one in champions)
-                lines.append(f"| {' | '.join([study['variant'], kind.label, *cells[:2], found, *cells[2:], *shown])} |")
-    return "\n".join(lines)
+                lines.append(f"| {' | '.join([study['variant'], kind.label, *cells, *shown])} |")
+    return "\n".join([*lines, *_best_of_studies(results)])
 
 
 def _series(results: Mapping[str, Any], *names: str) -> list[Mapping[str, Any]]:
@@ -149,7 +168,7 @@ def _series(results: Mapping[str, Any], *names: str) -> list[Mapping[str, Any]]:
 
 
 def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
-    """Return an arm's displacements, its share of *E* zero-shot with each data set, and adapted with all."""
+    """Return an arm's displacements and exploiters, its share of *E* zero-shot of each data set, and adapted of all."""
     arms = {arm["environment"]: arm for arm in study["arms"]}
     if environment not in arms:
         return []
@@ -159,8 +178,13 @@ def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
         if champion["environment"] == environment and champion["zero_shot"] is not None:
             by_data_set.setdefault(champion["trial"] % study["n_replicates"], []).append(champion["zero_shot"])
     shares = [table_cells.share({"mean": fmean(values)}, best) for _, values in sorted(by_data_set.items())]
+    champions = [one for one in study["champions"] if one["environment"] == environment]
+    predicted, zero_shot, adapted = (table_cells.mean(arm.get(name)) for name in _MEASURED)
     return [
-        *(table_cells.mean(arm.get(name)) for name in _MEASURED),
+        predicted,
+        zero_shot,
+        exploiters((one["predicted"], one["zero_shot"]) for one in champions),
+        adapted,
         ", ".join(shares),
         table_cells.share(arm.get("adapted"), best),
     ]

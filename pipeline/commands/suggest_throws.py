@@ -23,7 +23,9 @@ def suggest_throws(
     out: Annotated[Path | None, typer.Option("--out", help="Write the starts (.csv).")] = None,
     scale: Annotated[
         float | None,
-        typer.Option("--scale", min=1.0, max=1000.0, help="Bench mm per metre of simulation, such as 70: starts in bench units."),
+        typer.Option(
+            "--scale", min=1.0, max=1000.0, help="Bench mm per metre of simulation, such as 70: starts in bench units."
+        ),
     ] = None,
     max_speed: Annotated[
         float | None, typer.Option("--max-speed", min=0.0, help="Fastest throw that you can make [m/s].")
@@ -75,7 +77,9 @@ def suggest_throws(
         starts = suggested_throws(open_study(study, store), n, throws, limits)
     except MissingInputs as missing:
         again = shlex.join(["puddle", "pilot", "--study", study, "--store", str(store)])
-        raise PuddleError(f"study {study}: {missing}. Run the stages up to pilot first, the last by `{again}`.") from None
+        raise PuddleError(
+            f"study {study}: {missing}. Run the stages up to pilot first, the last by `{again}`."
+        ) from None
     for line in as_lines(starts, bench):
         to_stdout(line)
     for path, content in (

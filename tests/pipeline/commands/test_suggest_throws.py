@@ -57,7 +57,19 @@ def test_at_a_tank_they_are_in_bench_units_and_within_what_can_be_thrown(recorde
 
 def test_a_study_whose_pilots_are_missing(tmp_path, capsys):
     with pytest.raises(SystemExit):
-        main(["collect", "--preset", "smoke", "--set", "throws.design=robots", "--workers", "0", "--store", str(tmp_path)])
+        main(
+            [
+                "collect",
+                "--preset",
+                "smoke",
+                "--set",
+                "throws.design=robots",
+                "--workers",
+                "0",
+                "--store",
+                str(tmp_path),
+            ]
+        )
     assert "ω within ± 6.1 rad/s, followed for 100 steps, of which the first 29 are" in capsys.readouterr().err
     assert call("--study", "smoke", "--store", tmp_path) == 2
     said = capsys.readouterr().err

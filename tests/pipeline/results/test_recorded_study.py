@@ -162,7 +162,9 @@ def test_a_study_that_needs_no_networks_says_so(opened):
         update={"environments": ("true_slush", "dry_land"), "single_member_depths": ()}
     )
     bare = replace(opened, settings=opened.settings.model_copy(update={"grid": grid}))
-    with pytest.raises(PuddleError, match="has no networks: its grid.environments are true_slush, dry_land, expected one that learns"):
+    with pytest.raises(
+        PuddleError, match=r"has no networks: its grid.environments are true_slush, dry_land, expected one that learns"
+    ):
         bare.ensemble()
 
 
