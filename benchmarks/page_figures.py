@@ -239,10 +239,20 @@ def papers_order_holds(laptop: Recorded) -> bool:
 
 
 def ahead(laptop: Recorded) -> Mapping[str, str]:
-    """Return at how many depths robots of designed throws are ahead of those of the paper's throws."""
+    """Return at how many depths robots of designed throws are ahead of those of the paper's throws, and beyond chance."""
     depths = _depths(laptop)
-    arms = [[mean(laptop, name, "zero_shot", of) for of in depths] for name in ("designed_throws", "residual_slush")]
-    return {"ahead": str(sum(one > other for one, other in zip(*arms, strict=True))), "depths": str(len(depths))}
+    tests = []
+    for depth in depths:
+        arms = [
+            [one["zero_shot"] for one in laptop["champions"] if (one["environment"], one["depth"]) == (name, depth)]
+            for name in ("designed_throws", "residual_slush")
+        ]
+        tests.append(scipy.stats.ttest_ind(*arms, equal_var=False))
+    return {
+        "ahead": str(sum(test.statistic > 0 for test in tests)),
+        "beyond": str(sum(test.statistic > 0 and test.pvalue < 0.05 for test in tests)),
+        "depths": str(len(depths)),
+    }
 
 
 def _depths(study: Recorded) -> list[float]:

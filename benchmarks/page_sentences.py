@@ -159,7 +159,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         Sentence(
             "In slush the order of the zero-shot means is the paper's. At 9 m *Ê* retains {zero_shot} % of *E* "
             "zero-shot and {adapted} % adapted, where the paper has 67 % and 87 %; the mean of *Ê\\** is ahead of it "
-            "at {ahead} of the {depths} depths.",
+            "zero-shot at {ahead} of the {depths} depths, beyond chance (p < 0.05, Welch's t test) at {beyond} of them.",
             (LAPTOP,),
             lambda laptop: {
                 **{
