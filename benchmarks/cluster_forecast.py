@@ -18,7 +18,7 @@ from pipeline.config.settings import Settings
 from pipeline.store.provenance import environment as provenance
 
 CORES = (64, 1000)
-GPU_TFLOPS = 20.0
+GPU_TFLOPS, N_GPUS = 20.0, 64  # a GPU for each network
 FORECASTS = (("desk", None), ("paper", None), ("paper", GPU_TFLOPS))
 """Presets, and the stated rate of a GPU for each network, where training is not the cores' [TFLOP/s]."""
 
@@ -27,7 +27,7 @@ def forecast(preset: str, gpu_tflops: float | None) -> StudyForecast:
     """Forecast a preset, from a calibration run."""
     overrides = [] if gpu_tflops is None else ["training.device=cuda"]
     settings = load(Settings, preset_path(preset), overrides=overrides)
-    return forecast_study(settings, None, CORES, gpu_tflops=gpu_tflops, say=print)
+    return forecast_study(settings, None, CORES, gpu_tflops=gpu_tflops, n_gpus=N_GPUS, say=print)
 
 
 def row(preset: str, gpu_tflops: float | None) -> dict[str, Any]:

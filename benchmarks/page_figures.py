@@ -4,6 +4,7 @@ A claim in words holds within tolerances: means of displacements count as equal 
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from statistics import fmean
 
@@ -12,7 +13,7 @@ import scipy
 
 from benchmarks.sentences import Recorded
 from tasks.analysis import paper
-from tasks.analysis.comparison import nested_difference
+from tasks.analysis.comparison import clustered, nested_difference
 from tasks.analysis.replicates import NestedSample, nested_sample
 from tasks.world import ENVIRONMENTS
 
@@ -94,6 +95,8 @@ def over_depths(desk: Recorded) -> Mapping[str, str]:
         **shares,
         **{f"adapted_{end}": of for end, of in adapted.items()},
         **{f"kept_{end}": of for end, of in travelled.items()},
+        "deepest": f"{max(_beyond_chance(desk)):g}",
+        "n_beyond": f"{len(_beyond_chance(desk))}",
         **{
             f"{name}_{place}": share
             for name, arm in _KINDS_OF_THROWS
@@ -145,8 +148,8 @@ def shares_of_five(replicates: Recorded) -> Mapping[str, str]:
     }
 
 
-def _sample(study: Recorded, environment: str) -> NestedSample:
-    rows = [row for row in study["champions"] if row["environment"] == environment]
+def _sample(study: Recorded, environment: str, depth: float = paper.DEPTH) -> NestedSample:
+    rows = [row for row in study["champions"] if (row["environment"], row["depth"]) == (environment, depth)]
     learned = ENVIRONMENTS[environment].networks != "none"
     replicate = [row["trial"] % study["n_replicates"] if learned else 0 for row in rows]
     return nested_sample(np.array([row["zero_shot"] for row in rows]), np.array(replicate))
@@ -182,6 +185,14 @@ def robots_to_build(pontoon: Recorded) -> Mapping[str, str]:
         "worst_predicted": f"{worst['predicted']:.0f}",
         "worst_true": f"{worst['zero_shot']:.1f}".replace("-", "−"),
         "sigma": f"{worst['predicted_sd']:.2f}",
+        "sigma_least": f"{min(champion['predicted_sd'] for champion in held):.2f}",
+        "sigma_most": f"{max(champion['predicted_sd'] for champion in held):.2f}",
+        "servo": f"{pontoon['tank'][3]['all'][0]}",
+        "warnings": f"{len(_warnings(pontoon))}",
+        "limited_least": min(_warned(pontoon, _AT_LIMIT), key=float),
+        "limited_most": max(_warned(pontoon, _AT_LIMIT), key=float),
+        "draught": f"{float(_warned(pontoon, _DRAUGHT)[0]) / 10:.0f}",
+        "fit": f"{counts['fit into the filled tank']}",
         "outside": percent(outside.pop(worst["trial"])),
         "outside_least": percent(min(outside.values())),
         "outside_most": percent(max(outside.values())),
@@ -202,21 +213,40 @@ def _exploits(champion: Recorded) -> bool:
 
 
 def one_exploits(pontoon: Recorded) -> bool:
-    """Whether one champion exploits its networks unnoticed, and most trials with a servo's torque cross the floor."""
+    """Whether one champion exploits its networks unnoticed, by σ and by coverage."""
     outside = {row["trial"]: row["share_outside"] for row in pontoon["outside"]}
     (worst,) = (champion["trial"] for champion in pontoon["champions"] if _exploits(champion))
     of_others = [share for trial, share in outside.items() if trial != worst]
-    crossed, n = pontoon["tank"][3]["all"]
-    return min(of_others) < outside[worst] < max(of_others) and crossed > n / 2
+    sigma = {champion["trial"]: champion["predicted_sd"] for champion in pontoon["champions"]}
+    return min(of_others) < outside[worst] < max(of_others) and sigma[worst] == min(sigma.values())
+
+
+_AT_LIMIT = re.compile(r"at its torque limit in (\d+)% of the run")
+_DRAUGHT = re.compile(r"its draught is (\d+) mm")
+
+
+def _warnings(pontoon: Recorded) -> list[str]:
+    return [found["message"] for found in pontoon["kit"]["findings"] if found["severity"] == "warning"]
+
+
+def _warned(pontoon: Recorded, pattern: re.Pattern[str]) -> list[str]:
+    """Return the figures of the kit's warnings that fit a pattern."""
+    return [figure for message in _warnings(pontoon) for figure in pattern.findall(message)]
 
 
 def always_ahead(desk: Recorded) -> bool:
-    """Whether robots of designed throws travel farther at every depth, though at the least not beyond chance."""
+    """Whether robots of designed throws travel farther at every depth, in the mean."""
     arms = (_shares(desk, "designed_throws"), _shares(desk, "residual_slush"))
-    least = [_moments(desk, arm, "zero_shot", min(_depths(desk))) for arm in ("designed_throws", "residual_slush")]
-    moments = [moment[name] for moment in least for name in ("mean", "sd", "n")]
-    p = scipy.stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue
-    return p > 0.05 and all(designed > papers for designed, papers in zip(*arms, strict=True))
+    return all(designed > papers for designed, papers in zip(*arms, strict=True))
+
+
+def _beyond_chance(study: Recorded) -> list[float]:
+    """Return the depths where robots of the two kinds of throws differ at 5 %, with the variance of data sets."""
+    samples = {
+        depth: [_sample(study, arm, depth) for arm in ("designed_throws", "residual_slush")] for depth in _depths(study)
+    }
+    p = {depth: clustered(*both).p for depth, both in samples.items()}
+    return [depth for depth, of in p.items() if of is not None and of < 0.05]
 
 
 def first_is_luckiest(replicates: Recorded) -> bool:
@@ -239,18 +269,15 @@ def papers_order_holds(laptop: Recorded) -> bool:
 
 
 def ahead(laptop: Recorded) -> Mapping[str, str]:
-    """Return at how many depths robots of designed throws are ahead of those of the paper's throws, and beyond chance."""
+    """Return at how many depths robots of designed throws are ahead of the paper's, and ahead beyond chance."""
     depths = _depths(laptop)
-    tests = []
-    for depth in depths:
-        arms = [
-            [one["zero_shot"] for one in laptop["champions"] if (one["environment"], one["depth"]) == (name, depth)]
-            for name in ("designed_throws", "residual_slush")
-        ]
-        tests.append(scipy.stats.ttest_ind(*arms, equal_var=False))
+    designed, papers = (
+        {depth: mean(laptop, name, "zero_shot", depth) for depth in depths}
+        for name in ("designed_throws", "residual_slush")
+    )
     return {
-        "ahead": str(sum(test.statistic > 0 for test in tests)),
-        "beyond": str(sum(test.statistic > 0 and test.pvalue < 0.05 for test in tests)),
+        "ahead": str(sum(designed[depth] > papers[depth] for depth in depths)),
+        "beyond": str(sum(designed[depth] > papers[depth] for depth in _beyond_chance(laptop))),
         "depths": str(len(depths)),
     }
 

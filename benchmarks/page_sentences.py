@@ -43,7 +43,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             },
         ),
         Sentence(
-            "At all ten depths *Ê\\** is ahead of *Ê* zero-shot, at 0 m within chance: it retains {designed_low} to "
+            "At all ten depths the mean of *Ê\\** is ahead of that of *Ê* zero-shot: it retains {designed_low} to "
             "{designed_high} % of *E*, where *Ê* retains {papers_low} to {papers_high} %.",
             (DESK,),
             figures.over_depths,
@@ -84,9 +84,11 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             lambda row: abs(kept(row, "residual_slush") - 1) < EQUAL,
         ),
         Sentence(
-            "At every depth robots of designed throws travel farther, zero-shot, than those of the paper's throws, at "
-            "0 m within chance: *Ê\\** retains {designed_low} to {designed_high} % of *E*, *Ê* {papers_low} to "
-            "{papers_high} %. Adapted, *Ê\\** retains {adapted_low} to {adapted_high} % of *E* adapted. Robots of "
+            "At every depth robots of designed throws travel farther on average, zero-shot, than those of the paper's "
+            "throws: *Ê\\** retains {designed_low} to {designed_high} % of *E*, *Ê* {papers_low} to {papers_high} %. "
+            "With two data sets the difference is beyond chance at {n_beyond} of the depths, the deepest of them "
+            "{deepest} m (p < 0.05, Welch's t test with the variance between data sets). "
+            "Adapted, *Ê\\** retains {adapted_low} to {adapted_high} % of *E* adapted. Robots of "
             "designed throws travel {kept_low} to {kept_high} % of what their ensemble predicts. With the paper's "
             "throws much depends on the data set: at 9 m *Ê* retains {papers_first} % of *E* with the first and "
             "{papers_second} % with the second, and *Ê\\** {designed_first} % and {designed_second} %.",
@@ -159,7 +161,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         Sentence(
             "In slush the order of the zero-shot means is the paper's. At 9 m *Ê* retains {zero_shot} % of *E* "
             "zero-shot and {adapted} % adapted, where the paper has 67 % and 87 %; the mean of *Ê\\** is ahead of it "
-            "zero-shot at {ahead} of the {depths} depths, beyond chance (p < 0.05, Welch's t test) at {beyond} of them.",
+            "zero-shot at {ahead} of the {depths} depths, beyond chance (p < 0.05, Welch's t test) at {beyond} of "
+            "them.",
             (LAPTOP,),
             lambda laptop: {
                 **{
@@ -205,7 +208,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "desk_again",
         ),
         _recorded(
-            "The processor times of its items are those of {all} hours on two cores, and for the paper's three "
+            "The processor times of the study's items are those of {all} hours on two cores, and for the paper's three "
             "environments alone, with designed throws for the learned one, of {three} hours.",
             "desk_time",
         ),
@@ -230,19 +233,23 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         Sentence(
             "Champions are predicted to travel {predicted} m and travel {true} m in 2 m of true slush. Of the 16, "
             "{held} travel at least {least} % of their prediction, and one exploits its networks: it is predicted "
-            "to travel {worst_predicted} m, and travels {worst_true} m. Nothing that is known without the true "
-            "slush tells it apart: the networks agree (σ is {sigma} m), and no more of what it does lies outside "
-            "the throws than of what the others do ({outside} %, theirs {outside_least} to {outside_most} %). Of "
-            "the 16, {crossing} cross the filled tank in every trial, and {as_papers} of these the dry floor in "
-            "none, as the paper's robot. With the torque of a servo, more robots cross the dry floor than not.",
+            "to travel {worst_predicted} m, and travels {worst_true} m. Neither σ nor coverage would have told it "
+            "apart: its networks agree more than those of any other (σ is {sigma} m, the others' {sigma_least} to "
+            "{sigma_most} m), and no more of what it does lies outside the throws than of what the others do "
+            "({outside} %, theirs {outside_least} to {outside_most} %). Of the 16, {crossing} cross the filled tank in "
+            "every trial, and {as_papers} of these the dry floor in none, as the paper's robot. With the torque of a "
+            "servo, the dry floor is crossed in {servo} of 128 trials.",
             (PONTOON,),
             figures.robots_to_build,
             figures.one_exploits,
         ),
         Sentence(
-            "with {height} cm it is higher than the walls of the tank, which is open at the top. Its "
-            "[kit](bench-robot.md#fabricate-it) has {faults} faults, and its servos give {margin_1} and "
-            "{margin_2} times what the run needs. The study took {core_hours} core-hours, {hours} hours on two cores.",
+            "with {height} cm it is higher than the walls of the tank, which is open at the top; {fit} of the 16 fit. "
+            "With a draught of {draught} cm it stands on the floor of the tank, which is filled 15 cm deep. Its "
+            "[kit](bench-robot.md#fabricate-it) has {faults} faults and {warnings} warnings. Its servos give "
+            "{margin_1} and {margin_2} times the torque that the simulated motors give; these were at their limit of "
+            "30 N·m in {limited_least} and {limited_most} % of the run, so a servo may have to give more. The study "
+            "took {core_hours} core-hours, {hours} hours on two cores.",
             (PONTOON,),
             figures.robots_to_build,
         ),
@@ -407,8 +414,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "The proposed one crosses the filled tank in {wet} of 8 trials and the dry floor in {dry}, where it ends "
-            "within 5 cm of its start in {still}. Its kit has {faults} faults, and its servos give {margin_1} and "
-            "{margin_2} times what the run needs.",
+            "within 5 cm of its start in {still}. Its kit has {faults} faults and {warnings} warnings, and its servos "
+            "give {margin_1} and {margin_2} times the torque that the simulated motors give.",
             (PONTOON,),
             figures.robots_to_build,
         ),

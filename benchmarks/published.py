@@ -1,8 +1,8 @@
 """Write tables and figures of results in README.md and docs from docs/results/*.json: `python -m benchmarks.published`.
 
 A results file is the ``results.json`` of `puddle export`. `python -m benchmarks.published EXPORT/results.json` records
-one first, under the name of its study, and the figures of the export that docs/results/pictures.json names. `--add-to
-STUDY EXPORT/results.json` adds its depths to those recorded for a study that is run one depth at a time.
+one first, under the name of its study, and the figures of the export that docs/results/pictures.json names. A study
+that is run one depth at a time is exported and recorded again with each.
 
 Tables, and what they were made with, stand between markers; figures in running text are those of
 benchmarks/page_sentences.py. It ends with exit code 1, and says why, where the words of a page no longer follow from
@@ -24,7 +24,6 @@ from typing import Any
 from benchmarks.page_sentences import SENTENCES
 from benchmarks.results_tables import TABLES, transfer
 from benchmarks.sentences import ROOT, complaints, with_figures
-from tasks.analysis import paper
 
 RESULTS = ROOT / "docs" / "results"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -55,52 +54,11 @@ def with_sections(page: str) -> str:
     return SECTION.sub(section, page)
 
 
-def with_part(results: Mapping[str, Any], part: Mapping[str, Any], study: str) -> dict[str, Any]:
-    """Add the results of some depths to those of a study that is run one depth at a time.
-
-    Args:
-        results: of the study so far; empty if there are none.
-        part: results of a run with the same settings at other depths, or at some of the same.
-        study: name of the study.
-
-    Returns:
-        The results of the study, with the part's where both have some.
-    """
-    depths = {arm["depth"] for arm in part["arms"]}
-    joined = {
-        name: sorted(
-            [*(row for row in results.get(name, ()) if row["depth"] not in depths), *part[name]],
-            key=lambda row: row["depth"],
-        )
-        for name in ("arms", "champions", "variance")
-    }
-    about = {name: part[name] for name in ("source", "made_with", "core_seconds", "digests")}
-    assessed = paper.DEPTH in depths or not results.get("accuracy")
-    return {
-        "schema": part["schema"],
-        "version": part["version"],
-        "study": study,
-        "parts": {**results.get("parts", {}), part["study"]: about},
-        "n_replicates": part["n_replicates"],
-        "penalty": part["penalty"],
-        "arms": joined["arms"],
-        "accuracy": part["accuracy"] if assessed else results["accuracy"],
-        "variance": joined["variance"],
-        "champions": joined["champions"],
-    }
-
-
-def record(given: Path, study: str | None) -> None:
-    """Record an export under the name of its study, or add its depths to a study of another name."""
-    if study is None:
-        results = json.loads(given.read_text(encoding="utf-8"))
-        shutil.copyfile(given, RESULTS / f"{results['study']}.json")
-        record_pictures(results, given.parent / "figures", ROOT / "docs")
-        return
-    file = RESULTS / f"{study}.json"
-    so_far = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-    document = with_part(so_far, json.loads(given.read_text(encoding="utf-8")), study)
-    file.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
+def record(given: Path) -> None:
+    """Record an export under the name of its study."""
+    results = json.loads(given.read_text(encoding="utf-8"))
+    shutil.copyfile(given, RESULTS / f"{results['study']}.json")
+    record_pictures(results, given.parent / "figures", ROOT / "docs")
 
 
 def record_pictures(results: Mapping[str, Any], figures: Path, docs: Path) -> None:
@@ -125,10 +83,9 @@ def main() -> None:
     """Record a study's results, if a file is given, and write tables and figures."""
     options = argparse.ArgumentParser(description=main.__doc__)
     options.add_argument("results", nargs="*", type=Path, help="results.json of an export")
-    options.add_argument("--add-to", metavar="STUDY", help="study that these are depths of")
     given = options.parse_args()
     for path in given.results:
-        record(path, given.add_to)
+        record(path)
     found = []
     for page in PAGES:
         text, of_page = with_results(page)

@@ -103,13 +103,8 @@ def video(results: Mapping[str, Any]) -> str:
 
 
 def digests(results: Mapping[str, Any]) -> str:
-    """Tabulate the digests of a study's results, part by part if it was run one depth at a time."""
-    parts = results.get("parts", {"": results})
-    rows = [
-        f"| {f'{part}: ' if part else ''}{name} | `{digest}` |"
-        for part, of in parts.items()
-        for name, digest in of["digests"].items()
-    ]
+    """Tabulate the digests of a study's results."""
+    rows = [f"| {name} | `{digest}` |" for name, digest in results["digests"].items()]
     return "\n".join(["| result | digest |", "|---|---|", *rows])
 
 
@@ -119,8 +114,7 @@ def made_with(results: Mapping[str, Any]) -> str:
         return " ".join(f"{part}: {made_with(of)}" for part, of in results["parts"].items())
     made = results["made_with"]
     commit, dirty, _ = made["commit"].partition("-dirty")
-    measured = f"Measured at commit {commit[:7]}{' with changes' if dirty else ''}"
-    parts = [f"Recorded at commit {made['recorded at']}" if "recorded at" in made else measured]
+    parts = [f"Measured at commit {commit[:7]}{' with changes' if dirty else ''}"]
     parts += [f"with the preset as it is at {made['preset at']}"] if "preset at" in made else []
     parts += [f"on {made['cpu']}"] if "cpu" in made else []
     parts += [f"{name} {made[key]}" for key, name in (("python", "Python"), ("torch", "torch")) if key in made]

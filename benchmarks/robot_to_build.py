@@ -50,7 +50,7 @@ def main() -> None:
     document = {
         "schema": "puddle.robot_to_build",
         "version": 1,
-        "made_with": results["made_with"] | {"recorded at": results["made_with"]["commit"][:7]},
+        "made_with": results["made_with"],
         "digests": results["digests"],
         "core_seconds": results["core_seconds"],
         "arms": results["arms"],

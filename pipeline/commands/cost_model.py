@@ -152,16 +152,17 @@ class StageForecast:
     unit: str
     n_units: float
     n_items: int
-    core_seconds: float
+    core_seconds: float  # of GPUs, where these do the work
     longest_chain_seconds: float  # no number of cores gets below this
     n_bytes: float  # on the disk
     traffic: float  # between the driver and the workers, at most [bytes]
     source: str  # where the samples come from
+    n_gpus: int = 0  # that do the work; 0 where cores do
 
     def times(self, n_cores: int, driver: DriverLimits) -> dict[str, float]:
         """Return the time that each limit allows the stage on a number of cores [s]; the longest decides."""
         return {
-            "cores": self.core_seconds / n_cores,
+            "GPUs" if self.n_gpus else "cores": self.core_seconds / (self.n_gpus or n_cores),
             "longest chain": self.longest_chain_seconds,
             "driver": self.n_items * driver.seconds_per_item + self.n_bytes * driver.seconds_per_byte,
             "network": self.traffic / driver.bytes_per_second,
@@ -189,7 +190,7 @@ class StudyForecast:
         return max(self.times(stage, n_cores).values())
 
     def limit(self, stage: StageForecast, n_cores: int) -> str:
-        """Return what decides a stage's time: "cores", "longest chain", "driver" or "network"."""
+        """Return what decides a stage's time: "cores", "GPUs", "longest chain", "driver" or "network"."""
         times = self.times(stage, n_cores)
         return max(times, key=times.__getitem__)
 
@@ -279,7 +280,12 @@ def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], No
 
 
 def forecast_stages(
-    settings: Settings, remaining: Sequence[_Remaining], costs: Mapping[CostKind, Cost], sources: Mapping[CostKind, str]
+    settings: Settings,
+    remaining: Sequence[_Remaining],
+    costs: Mapping[CostKind, Cost],
+    sources: Mapping[CostKind, str],
+    *,
+    n_gpus: int,
 ) -> list[StageForecast]:
     """Return the cost of the remaining work of every stage, in order.
 
@@ -288,6 +294,7 @@ def forecast_stages(
         remaining: its unfinished chains.
         costs: the cost of each of their kinds.
         sources: where the samples of a kind come from, if not from the store.
+        n_gpus: GPUs that train networks, one network each, where the settings say so.
     """
     forecasts = []
     for stage in STAGES:
@@ -307,6 +314,7 @@ def forecast_stages(
                 n_bytes=sum(costs[one.kind].n_bytes(one.sizes) for one in own),
                 traffic=sum(costs[one.kind].traffic(one.sizes) for one in own),
                 source=" and ".join(sorted(found)),
+                n_gpus=n_gpus if stage.name == "train" and settings.training.device == "cuda" else 0,
             )
         )
     return forecasts
@@ -357,6 +365,7 @@ def forecast_study(
     cores: Sequence[int],
     *,
     gpu_tflops: float | None = None,
+    n_gpus: int = 1,
     driver: DriverLimits = DriverLimits(),
     say: Callable[[str], None],
 ) -> StudyForecast:
@@ -367,6 +376,7 @@ def forecast_study(
         store: the store that holds its results, if there is one.
         cores: further numbers of cores to forecast for.
         gpu_tflops: rate of a GPU that trains, instead of one of this machine [TFLOP/s].
+        n_gpus: GPUs that train networks, one network each, with training.device=cuda.
         driver: what the driver can do.
         say: shows what is being timed.
 
@@ -400,7 +410,7 @@ def forecast_study(
         samples |= calibrate(settings if gpu_tflops is None else _without_gpu(settings), measured, say=say)
     costs = {kind: Cost.fit(found, bytes_grow=kind.stage != "train") for kind, found in samples.items()}
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    stages = tuple(forecast_stages(settings, remaining, costs, sources))
+    stages = tuple(forecast_stages(settings, remaining, costs, sources, n_gpus=n_gpus))
     store_bytes = None if store is None else store.size_bytes()
     return StudyForecast(settings.name, stages, tuple(dict.fromkeys([own, *cores])), store_bytes, driver)
 

@@ -20,6 +20,9 @@ def forecast(
         float | None,
         typer.Option("--gpu-tflops", help="Rate at which a GPU trains, where this machine has none [TFLOP/s]."),
     ] = None,
+    gpus: Annotated[
+        int, typer.Option("--gpus", min=1, help="GPUs that train networks with training.device=cuda, one each.")
+    ] = 1,
     driver_ms: Annotated[
         float | None,
         typer.Option(
@@ -45,6 +48,7 @@ def forecast(
             options.find_store(),
             tuple(cores or ()),
             gpu_tflops=gpu_tflops,
+            n_gpus=gpus,
             driver=DriverLimits.stated(driver_ms, network_gbit),
             say=to_stderr,
         )

@@ -15,9 +15,11 @@ def forecast_lines(forecast: StudyForecast) -> Iterator[str]:
     for stage in forecast.stages:
         work = f"{stage.n_units:,.0f} {stage.unit}" if stage.n_units >= 1 else "< 1 unit" if stage.n_units else "done"
         times = "".join(f"{_time(forecast.stage_seconds(stage, n)):>{_column(n)}}" for n in forecast.n_cores)
-        line = f"{stage.stage:<9}{work:>19}{_time(stage.core_seconds):>11}{times}{_size(stage.n_bytes):>9}"
+        taken = f"{_time(stage.core_seconds)}{' GPU' if stage.n_gpus and stage.n_units else ''}"
+        line = f"{stage.stage:<9}{work:>19}{taken:>11}{times}{_size(stage.n_bytes):>9}"
         yield f"{line}  {stage.source}".rstrip()
-    core_seconds, n_bytes = sum(s.core_seconds for s in forecast.stages), sum(s.n_bytes for s in forecast.stages)
+    core_seconds = sum(stage.core_seconds for stage in forecast.stages if not stage.n_gpus)
+    n_bytes = sum(stage.n_bytes for stage in forecast.stages)
     times = "".join(f"{_time(forecast.seconds(n)):>{_column(n)}}" for n in forecast.n_cores)
     yield f"{'all':<28}{_time(core_seconds):>11}{times}{_size(n_bytes):>9}"
     n_items, traffic = sum(s.n_items for s in forecast.stages), sum(s.traffic for s in forecast.stages)

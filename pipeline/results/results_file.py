@@ -1,7 +1,7 @@
 """The results of a study in one small file, which documents and other programs can quote: ``results.json``."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -9,8 +9,9 @@ import numpy as np
 from pipeline.results.recorded_study import CHAMPIONS, Study
 from pipeline.stages import STAGES
 from pipeline.store.encoding import Json
+from pipeline.store.manifest import Manifest
 from pipeline.store.provenance import environment as provenance
-from pipeline.workflow.identity import arms_of, trials_of
+from pipeline.workflow.identity import TrialId, arms_of, trials_of
 from tasks.analysis.coverage import EVERYTHING
 from tasks.analysis.equivalence import VERDICTS
 from tasks.analysis.paper import is_t_test
@@ -18,9 +19,11 @@ from tasks.analysis.prediction import mean_less_deviations
 
 SCHEMA = "puddle.results"
 VERSION = 2
+_TRIAL = ("environment", "depth", "trial")
 _QUANTITIES = ("predicted", "predicted_sd", "fitness", "zero_shot", "adapted")
 _SHARES_OUTSIDE = (0.0, 0.1, 0.3, 0.6, 1.01)  # limits of groups of champions; the last includes 1
 _DIGITS = 4  # decimals of a displacement [m]
+_DIGITS_OF_DIGEST = 16  # hexadecimal, of a champion's
 
 
 def results_of(study: Study) -> dict[str, Json]:
@@ -30,15 +33,19 @@ def results_of(study: Study) -> dict[str, Json]:
     its members; ``predicted_sd`` is their deviation σ, and ``fitness`` what evolution maximised, μ - kσ, with
     ``penalty`` as k. ``comparison`` has the paper's numbers and statements beside the study's, and ``verdicts`` counts
     them. ``variance`` splits the deviation of each arm of several replicates. Times are in core-seconds. A stage's
-    digest is the SHA-256 of the digests of its items, ordered by label.
+    digest is the SHA-256 of the digests of its items, ordered by label, and a champion has the first digits of those of
+    its own evolution and transfer.
     """
     upstream = study.upstream
     seconds: dict[str, Json] = {stage.name: round(upstream[stage.name].seconds) for stage in STAGES}
     digests: dict[str, Json] = {stage.name: _digest(study, stage.name) for stage in STAGES}
     champions = study.table(CHAMPIONS).to_pylist() if CHAMPIONS in study.tables else []
     comparison = _comparison(study)
+    of_trials = _digests_of_trials(study)
     known = [
-        {name: _rounded(row.get(name)) for name in ("environment", "depth", "trial", *_QUANTITIES)} for row in champions
+        {name: _rounded(row.get(name)) for name in (*_TRIAL, *_QUANTITIES)}
+        | {"digests": of_trials[tuple(row[name] for name in _TRIAL)]}
+        for row in champions
     ]
     return {
         "schema": SCHEMA,
@@ -128,9 +135,8 @@ def _coverage(study: Study, champions: Sequence[Mapping[str, Json]]) -> list[Jso
     """Group champions by how much of what they do lies outside their throws: n, and mean displacements [m]."""
     if "champion_coverage" not in study.tables:
         return []
-    trial = ("environment", "depth", "trial")
     outside = {
-        tuple(row[key] for key in trial): row["share_outside"]
+        tuple(row[key] for key in _TRIAL): row["share_outside"]
         for row in study.table("champion_coverage").to_pylist()
         if row["component"] == EVERYTHING
     }
@@ -139,7 +145,7 @@ def _coverage(study: Study, champions: Sequence[Mapping[str, Json]]) -> list[Jso
         rows = [
             champion
             for champion in champions
-            if low <= outside.get(tuple(champion[key] for key in trial), np.nan) < high
+            if low <= outside.get(tuple(champion[key] for key in _TRIAL), np.nan) < high
         ]
         both = [
             (row["predicted"], row["zero_shot"]) for row in rows if None not in (row["predicted"], row["zero_shot"])
@@ -165,5 +171,19 @@ def _rounded(value: Json) -> Json:
 
 def _digest(study: Study, stage: str) -> str:
     done = study.upstream[stage].done
-    digests = [part.digest for identity in sorted(done, key=lambda identity: identity.label) for part in done[identity]]
-    return hashlib.sha256("".join(digests).encode()).hexdigest()
+    return _joined(part for identity in sorted(done, key=lambda identity: identity.label) for part in done[identity])
+
+
+def _digests_of_trials(study: Study) -> dict[tuple[Json, ...], dict[str, Json]]:
+    """Return the first digits of the digests of each trial's items, by its environment, depth and number."""
+    found: dict[tuple[Json, ...], dict[str, Json]] = {}
+    for stage in ("evolve", "transfer"):
+        for trial, parts in study.upstream[stage].done.items():
+            assert isinstance(trial, TrialId)
+            of_trial = found.setdefault((trial.environment, trial.depth, trial.index), {})
+            of_trial[stage] = _joined(parts)[:_DIGITS_OF_DIGEST]
+    return found
+
+
+def _joined(parts: Iterable[Manifest]) -> str:
+    return hashlib.sha256("".join(part.digest for part in parts).encode()).hexdigest()

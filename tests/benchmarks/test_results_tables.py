@@ -80,7 +80,6 @@ def test_the_variance_between_replicates_has_its_share():
             "Measured at commit 0123456, on A, Python 3.11.7.",
         ),
         ({"commit": "0123456-dirty"}, "Measured at commit 0123456 with changes."),
-        ({"commit": "0123456-dirty", "recorded at": "789abcd"}, "Recorded at commit 789abcd."),
         (
             {"commit": "0123456", "preset at": "789abcd"},
             "Measured at commit 0123456, with the preset as it is at 789abcd.",

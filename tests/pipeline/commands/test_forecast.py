@@ -65,13 +65,13 @@ def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
     paper = load(Settings, preset_path("paper"))
     remaining = [one for one in remaining_chains(paper, {}) if one.stage.name == "evolve"]
     costs = {one.kind: Cost(0.0, 1.0 / one.chain.weight, 0.0, 0.0, 1e6) for one in remaining}
-    evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, {})}["evolve"]
+    evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, {}, n_gpus=1)}["evolve"]
     assert evolve.n_units == evolve.core_seconds == pytest.approx(310_000)
     assert evolve.longest_chain_seconds == pytest.approx(1000)
     times = evolve.times(100, DriverLimits(seconds_per_item=0.1, bytes_per_second=1e6))
     assert times == pytest.approx({"cores": 3100, "longest chain": 1000, "driver": 1240, "network": 12_400})
     alone = [one for one in remaining if one.kind.environment == "residual_slush"]
-    (split,) = (stage for stage in forecast_stages(paper, alone, costs, {}) if stage.stage == "evolve")
+    (split,) = (stage for stage in forecast_stages(paper, alone, costs, {}, n_gpus=1) if stage.stage == "evolve")
     assert split.longest_chain_seconds == pytest.approx(1000 / 16)
 
 
@@ -115,6 +115,12 @@ def test_training_is_priced_for_a_stated_gpu(settings):
     train = next(stage for stage in found.stages if stage.stage == "train")
     flop = 6 * (6 * 256 + 3 * 256 * 256 + 256 * 6) * 262_144 * train.n_units
     assert train.core_seconds == pytest.approx(flop / 20e12) and train.source == "stated rate"
+    assert found.stage_seconds(train, 1000) == pytest.approx(train.core_seconds)  # one GPU, however many cores
+    two = replace(train, n_gpus=2)
+    assert two.times(1000, found.driver)["GPUs"] == pytest.approx(train.core_seconds / 2)
+    *_, whole = (line for line in forecast_lines(found) if line.startswith("all"))
+    on_cores = sum(stage.core_seconds for stage in found.stages) - train.core_seconds
+    assert f"{on_cores:.0f} s" in whole and f"{train.core_seconds:.0f} s GPU" in "\n".join(forecast_lines(found))
 
 
 @pytest.mark.parametrize(

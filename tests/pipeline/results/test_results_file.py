@@ -36,6 +36,12 @@ def test_it_says_what_made_it(results):
     assert len(set(results["digests"].values())) == len(names)
 
 
+def test_every_champion_has_digests_of_its_own(results):
+    for stage in ("evolve", "transfer"):
+        found = [row["digests"][stage] for row in results["champions"]]
+        assert len(set(found)) == len(found) > 1 and all(len(digest) == 16 for digest in found)
+
+
 def test_champions_of_networks_are_grouped_by_what_the_throws_cover(results, recorded):
     covered = open_study("tiny", recorded).table("champion_coverage").to_pandas()
     whole = covered[covered.component == "all"]
