@@ -129,7 +129,7 @@ class StudyOptions:
             # Settings of tracks are valid only beside the file.
             overrides = ["throws.source=tracks", f"tracks.file={json.dumps(str(self.tracks))}", *overrides]
         if self.study is None:
-            path = self.settings_file or preset_path(self.preset or _DEFAULT_PRESET)
+            path = self.settings_file or preset_path(_DEFAULT_PRESET if self.preset is None else self.preset)
             return load(Settings, path, overrides)
         recorded = settings_of(self._record(self.study))
         if not overrides:
@@ -142,7 +142,11 @@ class StudyOptions:
         """Where the settings come from, for the study's record: "preset laptop", or the path of a settings file."""
         if self.study is not None:
             return self._record(self.study).source
-        return str(self.settings_file.resolve()) if self.settings_file else f"preset {self.preset or _DEFAULT_PRESET}"
+        return (
+            str(self.settings_file.resolve())
+            if self.settings_file
+            else f"preset {_DEFAULT_PRESET if self.preset is None else self.preset}"
+        )
 
     def open_store(self, *, create: bool) -> Store:
         """Open the store."""

@@ -255,6 +255,9 @@ def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
     if kind == "value_error":  # several values contradict one another; overrides may have supplied some of them
         where = " with ".join(dict.fromkeys([where, *_overrides_in(value)]))
         return f"{where}{at}: {said.removeprefix('Value error, ')}"
+    if kind == "too_short":
+        least, n = error["ctx"]["min_length"], error["ctx"]["actual_length"]
+        return f"{where}{at}: expected at least {least} value{'s' * (least > 1)}, got {n}"
     words = next((words for words in _EXPECTATIONS if said.startswith(words)), "")
     return f"{where}{at}: {_EXPECTATIONS.get(words, '')}{said.removeprefix(words)}, got {_show(error['input'])}"
 

@@ -83,17 +83,31 @@ def gallery(replays: Sequence[Replay], *, reason: str | None = None) -> str:
     if not shown:
         none_yet = "no champion from Residual Slush or Dry Land has been filmed in True Slush yet"
         return absent("The gallery", reason or none_yet)
+    both = len({replay.environment for replay in shown}) > 1
+    words = (
+        "the best robot evolved with the learned residuals (above) and the best one evolved without (below), both in "
+        "True Slush, with their displacement"
+        if both
+        else f"the best robot evolved {_kind(shown[0])}, in True Slush, with its displacement"
+    )
     shown.sort(key=lambda replay: (replay.depth, arms.index(replay.environment)))
     cards = [
         f'<figure class="exemplars"><h3>{depth:g} m of slush</h3>{films(replays, list(group))}</figure>'
         for depth, group in groupby(shown, key=lambda replay: replay.depth)
     ]
-    return f'<div id="gallery" class="gallery">{"".join(cards)}</div>'
+    return (
+        f"<p>For each depth, {words}. Click on a robot to open it in the viewer.</p>"
+        f'<div id="gallery" class="gallery">{"".join(cards)}</div>'
+    )
+
+
+def _kind(replay: Replay) -> str:
+    kinds = {**dict.fromkeys(_WITH_RESIDUALS, "with residuals"), _WITHOUT: "without residuals"}
+    return kinds.get(replay.environment, "")
 
 
 def _film(replay: Replay, index: int) -> str:
-    kinds = {**dict.fromkeys(_WITH_RESIDUALS, "with residuals"), _WITHOUT: "without residuals"}
-    kind = kinds.get(replay.environment) or f"evolved {ENVIRONMENTS[replay.environment].evolved}"
+    kind = _kind(replay) or f"evolved {ENVIRONMENTS[replay.environment].evolved}"
     label = f"{kind}: {number(replay.displacement)} m"
     swatch = f'<span class="swatch {escape(replay.environment)}"></span>'
     return (

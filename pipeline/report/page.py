@@ -89,7 +89,7 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
     doubts = grid("champion_coverage", "phantom_thrust")
     exploited = exploiters(found, robots) if applies(report, "exploiters") else ""
     sections = [
-        ("evolved", "What evolved", _GALLERY + gallery(report.replays, reason=reason)),
+        ("evolved", "What evolved", gallery(report.replays, reason=reason)),
         ("watch", "Watch them move", viewer(report.replays, study=report.name, reason=reason)),
         ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials, found) + variance_table(found)),
         ("tank", "The robot to build", tank_tests(found, robots)),
@@ -102,12 +102,6 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
         ("made", "How this study was made", _made(report)),
     ]
     return [section for section in sections if section[2]]
-
-
-_GALLERY = (
-    "<p>For each depth, the best robot evolved with the learned residuals (above) and the best one evolved without "
-    "(below), both in True Slush, with their displacement. Click on a robot to open it in the viewer.</p>"
-)
 
 
 def render_robot(replay: Replay, lines: Sequence[str]) -> str:

@@ -24,6 +24,13 @@ def test_designed_throws_stand_for_residuals_where_no_robot_evolved_with_the_pap
     assert "designed_throws" not in gallery([learned, plain, designed])
 
 
+def test_the_gallery_speaks_of_the_robots_that_it_shows(filmed):
+    learned, plain = filmed
+    assert "(above)" in gallery([learned, plain])
+    alone = gallery([learned])
+    assert "the best robot evolved with residuals, in True Slush" in alone and "(above)" not in alone
+
+
 def test_a_gallery_without_such_robots_says_why(filmed):
     robots = [replace(filmed[0], environment="true_slush")]
     assert "no champion from Residual Slush or Dry Land" in gallery(robots) and exemplars(robots) == robots
