@@ -73,8 +73,9 @@ def suggest_throws(
         heights=(-math.inf, math.inf) if heights is None else (heights[0] / bench.scale, heights[1] / bench.scale),
         lengths=tuple(bar.length / bench.scale for bar in bars),
     )
+    of_study = open_study(study, store)
     try:
-        starts = suggested_throws(open_study(study, store), n, throws, limits)
+        starts = suggested_throws(of_study, n, throws, limits)
     except MissingInputs as missing:
         again = shlex.join(["puddle", "pilot", "--study", study, "--store", str(store)])
         raise PuddleError(
@@ -82,6 +83,10 @@ def suggest_throws(
         ) from None
     for line in as_lines(starts, bench):
         to_stdout(line)
+    made = of_study.settings.throws_of(throws or of_study.settings.throw_groups[0])
+    if made.source == "simulation":
+        n_steps = made.n_steps_of(of_study.settings.physics)
+        to_stdout(f"{n:,} throws are {n * n_steps:,} transitions, if followed for {n_steps} steps as the study's are")
     for path, content in (
         (out, as_csv(starts, bench)),
         (sheet, "" if sheet is None else as_sheet(starts, bench, study)),

@@ -41,11 +41,12 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
         panel.set_title(f"{title}, {of_size.sum():,} throws")
         panel.set(aspect="equal", xlim=(-_VIEW, _VIEW), ylim=(-8, 0.7 * _VIEW), ylabel="y [m]")
     panels[-1].set_xlabel("x [m]")
+    n_transitions = int(np.isfinite(throws.path[..., 0]).sum())
     return figure, (
-        f"The {len(throws.length_scale)} throws of {throws.seconds:.1f} s: paths of the link’s centre, by the size of "
-        f"the link. {_learned_from(throws)} The blue line is the surface of the slush. For one throw of each size the "
-        f"link is drawn along its path. The view ends {_VIEW:g} m from the start; throws that miss the slush fly "
-        "farther."
+        f"The {len(throws.length_scale):,} throws of {throws.seconds:.1f} s, {n_transitions:,} transitions: paths of "
+        f"the link’s centre, by the size of the link. {_learned_from(throws)} The blue line is the surface of the "
+        f"slush. For one throw of each size the link is drawn along its path. The view ends {_VIEW:g} m from the "
+        "start; throws that miss the slush fly farther."
     )
 
 

@@ -18,7 +18,8 @@ def test_it_lists_and_writes_starts(recorded, tmp_path, capsys):
     out = tmp_path / "throws.csv"
     assert call("--study", "tiny", "--store", recorded, "--n", 6, "--out", out) == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[0].split()[:3] == ["throw", "length", "[m]"] and len(said) == 8 and str(out) in said[-1]
+    assert said[0].split()[:3] == ["throw", "length", "[m]"] and len(said) == 9 and str(out) in said[-1]
+    assert said[-2].startswith("6 throws are ") and "transitions, if followed for" in said[-2]
     rows = list(csv.DictReader(out.open()))
     assert len(rows) == 6 and all(1 <= float(row["length_m"]) <= 3 for row in rows)
     assert np.isfinite([[float(value) for value in row.values()] for row in rows]).all()
