@@ -65,7 +65,7 @@ def first_generation() -> list[Benchmark]:
             for _ in range(4)
         )
     return [
-        Benchmark("first generation, compiling", [cold], "s", 40.0),
+        Benchmark("first generation, compiling", [cold], "s", 20.0),
         Benchmark("first generation, from the cache", warm, "s", 1.0),
     ]
 
