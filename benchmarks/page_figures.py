@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 import scipy
@@ -259,6 +260,27 @@ def differences_hold(replicates: Recorded) -> bool:
     """Whether robots of designed throws are ahead of those of the paper's throws, and perhaps not of the others."""
     found = {name: float(metres.replace("−", "-")) for name, metres in differences(replicates).items()}
     return found["papers_low"] > 0 > max(found["best_low"], found["randomised_low"])
+
+
+def ahead_of_all_but_the_best(replicates: Recorded) -> bool:
+    """Whether robots of designed throws are ahead beyond chance of all others in slush, and not of *E* nor behind."""
+    found = {name: float(metres.replace("−", "-")) for name, metres in differences(replicates).items()}
+    return min(found["papers_low"], found["randomised_low"]) > 0 and found["best_low"] < 0 < found["best_high"]
+
+
+def n_exploiters(study: Recorded, environment: str) -> int:
+    """Return how many champions of an arm at 9 m travel less than half of their prediction."""
+    arm = (environment, paper.DEPTH)
+    return sum(_exploits(one) for one in study["champions"] if (one["environment"], one["depth"]) == arm)
+
+
+def n_repeated(study: Recorded, other: Recorded) -> int:
+    """Return how many of a study's champions have the same figures as those of the same trial of another."""
+    found: list[set[tuple[Any, ...]]] = [
+        {tuple(value for name, value in sorted(one.items()) if name != "digests") for one in of["champions"]}
+        for of in (study, other)
+    ]
+    return len(found[0] & found[1])
 
 
 def papers_order_holds(laptop: Recorded) -> bool:

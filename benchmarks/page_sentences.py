@@ -7,7 +7,9 @@ from benchmarks import page_figures_of_throws as of_throws
 from benchmarks.page_figures import EQUAL, kept, percent, share
 from benchmarks.sentences import Sentence
 
-ROW, SHALLOW, DESK = (f"docs/results/{name}.json" for name in ("row", "row-shallow", "desk"))
+ROW, SHALLOW, DESK, DESK_REPLICATES = (
+    f"docs/results/{name}.json" for name in ("row", "row-shallow", "desk", "desk-replicates")
+)
 LAPTOP, MAGNITUDES, REPLICATES = (
     f"docs/results/{name}.json" for name in ("laptop", "laptop-magnitudes", "laptop-replicates")
 )
@@ -207,6 +209,31 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "all throws and networks have the same digests, and all figures of {champions} champions are the same",
             "desk_again",
         ),
+        Sentence(
+            "By data set, *Ê* keeps {papers_0}, {papers_1}, {papers_2}, {papers_3} and {papers_4} % of *E* "
+            "zero-shot, and *Ê\\** {designed_0}, {designed_1}, {designed_2}, {designed_3} and {designed_4} %. So "
+            "robots of designed throws travel {papers} m farther than those of the paper's ({papers_low} to "
+            "{papers_high} m), {randomised} m farther than those of randomised slush ({randomised_low} to "
+            "{randomised_high} m), and cannot be told from *E* (difference {best} m, {best_low} to {best_high} m);",
+            (DESK_REPLICATES,),
+            lambda replicates: {**figures.shares_of_five(replicates), **figures.differences(replicates)},
+            figures.ahead_of_all_but_the_best,
+        ),
+        Sentence(
+            "{exploiters} of 10 robots of *Ê* exploit their ensemble, and none of *Ê\\**. A single network of "
+            "designed throws keeps {single} %.",
+            (DESK_REPLICATES,),
+            lambda replicates: {
+                "exploiters": f"{figures.n_exploiters(replicates, 'residual_slush')}",
+                "single": percent(share(replicates, "designed_single_member")),
+            },
+            lambda replicates: figures.n_exploiters(replicates, "designed_throws") == 0,
+        ),
+        Sentence(
+            "At 9 m `desk-replicates` has {n} trials in common with it:",
+            (DESK, DESK_REPLICATES),
+            lambda desk, replicates: {"n": f"{figures.n_repeated(desk, replicates)}"},
+        ),
         _recorded(
             "The processor times of the study's items are those of {all} hours on two cores, and for the paper's three "
             "environments alone, with designed throws for the learned one, of {three} hours.",
@@ -321,6 +348,19 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             of_throws.ensembles_matter,
         ),
         Sentence(
+            "[Over five data sets](results.md#five-data-sets-at-9-m) a single network keeps {single} %, four "
+            "{ensemble} %, and none is exploited.",
+            (DESK_REPLICATES,),
+            lambda replicates: {
+                "single": percent(share(replicates, "designed_single_member")),
+                "ensemble": percent(share(replicates, "designed_throws")),
+            },
+            lambda replicates: (
+                figures.n_exploiters(replicates, "designed_single_member") == 0
+                and figures.n_exploiters(replicates, "designed_throws") == 0
+            ),
+        ),
+        Sentence(
             "No rule differs from μ − σ beyond chance: by Welch's t test p = {quartile} for the lower quartile with "
             "the paper's throws, and p = {calibrated} for the calibrated k with designed throws.",
             (RULES,),
@@ -427,6 +467,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
     ),
     "docs/performance.md": (
+        _recorded("on two idle cores the first `smoke` takes {fresh} s, and every later one {warm} s.", "first_run"),
         Sentence("Inference runs at {low} to {high} % of the core's peak", (PROFILE,), of_throws.shares_of_peak),
         Sentence(
             "With four networks of 2 × 32 a generation takes {least} times as long as in true slush, with four of 3 × "
