@@ -7,7 +7,7 @@
 Each variant is a study of the store, with three data sets and ensembles and two trials in each; at the paper's scale
 with one trial in each. Writes docs/results/throws-studies.json, few-throws.json or few-throws-desk.json, which
 docs/throws.md shows. A run that is stopped resumes. The first two take three quarters of an hour on two cores each, the
-last a quarter.
+last a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _BASE = {
     "replicates": str(N_REPLICATES),
     "assess.n_designs": "600",
 }
-_AT_PAPERS_SCALE = {"grid.environments": "[true_slush,designed_throws]", "grid.n_trials": "3", "assess.n_designs": "60"}
+_AT_PAPERS_SCALE = {"grid.n_trials": "3", "assess.n_designs": "60"}
 SERIES = {
     "throws-studies": ("penalty", "members"),
     "few-throws": ("few throws", "few throws, magnitudes"),
@@ -72,7 +72,7 @@ def variants() -> Iterator[Variant]:
         observed = {"network.observation": _MAGNITUDES, "grid.environments": "[true_slush,designed_throws]"}
         yield Variant("few throws, magnitudes", f"few-{n}-magnitudes", f"{n} × 200", size | observed)
     for n in (100, 250, 500):
-        size = {"designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
+        size = {"throws.n_throws": str(n), "designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
         series = "few throws, the paper's scale"
         yield Variant(series, f"few-{n}-desk", f"{n} × 200", size | _AT_PAPERS_SCALE, "desk")
 
