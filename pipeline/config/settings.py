@@ -140,7 +140,7 @@ class PilotSettings(Parameters):
     n_generations: int = Field(default=50, ge=1, le=1_000_000)
     """Generations of the short evolution in each ensemble."""
     most_outside: float = Field(default=0.2, ge=0.0, le=1.0)
-    """Share of the pilots' states outside the throws above which the stage warns."""
+    """Share of the states of pilots evolved in an ensemble outside the throws above which the stage warns."""
 
 
 class TransferSettings(Parameters):
