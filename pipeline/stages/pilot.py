@@ -157,7 +157,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         for seen_in, rows in read_coverage({COVERAGE: store.read(part, COVERAGE)}).items():
             whole = next(row for row in rows if row.component == EVERYTHING)
             worst = max((row for row in rows if row.component != EVERYTHING), key=lambda row: row.share_outside)
-            # Random robots lie on a ground at the surface, higher than robots in a medium, so they are no reason to warn.
+            # Random robots lie on a ground at the surface, higher than robots in a medium: no reason to warn.
             warned = seen_in == "residual_slush" and whole.share_outside > settings.pilot.most_outside
             prefix = "warning: " if warned else ""
             lines.append(
