@@ -353,6 +353,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "{exploiters} of 10 exploit the single network, none the ensemble.",
             (DESK,),
             of_throws.ensembles_matter,
+            lambda desk: figures.n_exploiters(desk, "designed_throws") == 0,
         ),
         Sentence(
             "[Over five data sets](results.md#five-data-sets-at-9-m) a single network keeps {single} %, four "

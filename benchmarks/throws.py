@@ -1,7 +1,7 @@
 """Measure what networks get wrong along the paths of robots, by throws and networks: `python -m benchmarks.throws`.
 
 Writes docs/results/throws.json, which docs/throws.md shows, and keeps its rows that no code measures any more. It takes
-four minutes on one core. `python -m benchmarks.throws inference` measures the time of inference alone, `python
+four minutes on one core. `python -m benchmarks.throws inference` measures the time of inference alone, and `python
 -m benchmarks.throws regularisation` trains with and without dropout and weight decay; they take a minute each.
 """
 
