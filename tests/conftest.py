@@ -25,8 +25,6 @@ from database_template import copied_databases
 from pipeline.cluster import Cluster, ray_cluster
 from tasks.design import N_LINKS, Designs
 
-pytest_plugins = ["without_guards"]
-
 hypothesis.settings.register_profile("puddle", deadline=None)  # an example may compile a kernel, or wait for a core
 hypothesis.settings.load_profile("puddle")
 
@@ -46,8 +44,6 @@ TOGETHER = {
         "torture/test_crash_points.py",
         "torture/test_corruption.py",
         "torture/test_full_disk.py",
-        "torture/test_guards.py",
-        "torture/test_hostile_stores.py",
     ),
     "study": (
         "commands/test_bad_input.py",
@@ -96,7 +92,6 @@ LONGEST_FIRST = (
     "fabrication/test_fabricate.py",
     "architecture/test_changes.py",
     "commands/test_app.py",
-    "torture/test_network.py",
     *TOGETHER["drawn"],
     "fabrication/test_exports.py",
     "tracking/test_mirror.py",

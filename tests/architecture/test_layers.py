@@ -47,12 +47,6 @@ FILE_CALLS = re.compile(
 )
 """Calls that read or write files or the terminal, as they stand in the source."""
 
-GLOSSARY = ("n_members", "n_designs", "n_steps", "n_links")
-"""Axes in their order."""
-
-TABLES = {ROOT / "tasks/evolution/objectives/evaluation.py"}
-"""Modules whose arrays are columns of a table with one row per design: there n_designs comes first."""
-
 
 def test_the_contracts_of_imports_hold() -> None:
     script = "from importlinter.cli import lint_imports; raise SystemExit(lint_imports(no_cache=True))"
@@ -93,18 +87,3 @@ def test_science_draws_from_no_global_generator(module: Path) -> None:
             assert node.attr in allowed, f"line {node.lineno}: np.random.{node.attr}"
         if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("default_rng"):
             assert node.args, f"line {node.lineno}: a generator without a seed"
-
-
-@pytest.mark.parametrize("module", SCIENCE, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_shapes_name_axes_in_the_order_of_the_glossary(module: Path) -> None:
-    glossary = ("n_designs", "n_members") if module in TABLES else GLOSSARY
-    for shape in re.findall(r"\(([^()]*\bn_\w+[^()]*)\)", module.read_text()):
-        axes = [axis for axis in re.findall(r"\bn_\w+", shape) if axis in glossary]
-        if len(set(axes)) == len(axes) > 1 and re.fullmatch(r"[\w\s,]+", shape):
-            assert axes == sorted(axes, key=glossary.index), f"({shape})"
-
-
-def test_the_suite_mirrors_the_source() -> None:
-    packages = {path.parent.relative_to(ROOT / "tasks") for path in SCIENCE if path.name != "__init__.py"}
-    missing = [str(package) for package in packages if not list((ROOT / "tests/tasks" / package).glob("test_*.py"))]
-    assert not missing
