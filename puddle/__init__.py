@@ -17,6 +17,8 @@ Mistakes in arguments, and damage to a store, raise :class:`PuddleError`.
 from __future__ import annotations
 
 import importlib.metadata
+import warnings
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,9 +50,11 @@ __version__ = importlib.metadata.version("puddle")
 def open_study(name: str, store: str | Path = "store") -> Study:
     """Open a recorded study, to read its settings, progress, tables and champions.
 
+    A study is what was recorded. Where today's code would make other results of its settings, a warning says so.
+
     Raises PuddleError if there is no such store or study (the message lists the studies there are), or if the study's
     record is damaged.
     """
     from pipeline.results import recorded_study  # imports what draws figures, which takes a second
 
-    return recorded_study.open_study(name, store)
+    return recorded_study.open_study(name, store, say=partial(warnings.warn, stacklevel=3))

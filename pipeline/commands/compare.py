@@ -4,13 +4,14 @@ import stat
 import textwrap
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pipeline.commands.options import DEFAULT_STORE, StorePath, names_of_studies, with_options
-from pipeline.commands.output import to_stdout
+from pipeline.commands.output import to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -43,7 +44,8 @@ def compare(
 
     if out is not None:
         check_page_path(out)
-    pair = pair_of(open_study(a, store), open_study(b, store if store_b is None else store_b))
+    open_one = partial(open_study, say=to_stderr)
+    pair = pair_of(open_one(a, store), open_one(b, store if store_b is None else store_b))
     lines = list(comparison_lines(pair))
     if out is not None:
         from pipeline.report.pair_page import render_pair

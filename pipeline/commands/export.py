@@ -29,6 +29,6 @@ def export(
     from pipeline.results.recorded_study import open_study
 
     with interruptible():
-        lines = export_study(open_study(study, store), out, kind, tables=tables, say=to_stderr)
+        lines = export_study(open_study(study, store, say=to_stderr), out, kind, tables=tables, say=to_stderr)
     for line in lines:
         to_stdout(line)

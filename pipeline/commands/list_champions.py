@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName
-from pipeline.commands.output import to_stdout
+from pipeline.commands.output import to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ def list_champions(study: StudyName, store: StorePath = DEFAULT_STORE) -> None:
     """Rank the champions of a study by their displacement in True Slush, at each depth."""
     from pipeline.results.recorded_study import open_study
 
-    for line in champion_lines(open_study(str(study), store)):
+    for line in champion_lines(open_study(str(study), store, say=to_stderr)):
         to_stdout(line)
 
 

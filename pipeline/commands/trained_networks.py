@@ -9,7 +9,7 @@ from pipeline.stages.collect import COLLECT, throws_inputs
 from pipeline.stages.data_sets import DataSetId, data_sets, main_data_set
 from pipeline.stages.train import TRAIN
 from pipeline.store.store import Store
-from pipeline.workflow.graph import survey
+from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Files
 from tasks.world import ENVIRONMENTS, EnvironmentName
@@ -47,7 +47,8 @@ def trained_networks(
     store = open_store()
     damage: list[str] = []
     with store.lock_to_read():
-        upstream = survey(settings, (COLLECT, TRAIN), store, say=damage.append)
+        record = store.read_study(settings.name)
+        upstream = recorded_results(settings, record, (COLLECT, TRAIN), store, say=damage.append).upstream
         if damage:
             raise PuddleError(damage[0])
         inputs = environments.ensemble_inputs(settings, data_set, upstream)

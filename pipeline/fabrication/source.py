@@ -15,7 +15,7 @@ from pipeline.stages.transfer import CHAMPION, read_scores
 from pipeline.store.design_file import design_from, read_design
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store
-from pipeline.workflow.graph import survey
+from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.identity import TrialId, arms_of
 from pipeline.workflow.stage import Execution, MissingInputs, Results
 from tasks.analysis.tank import nearest_the_mean
@@ -68,7 +68,8 @@ def proposed(settings: Settings, store: Store) -> DesignSource:
 
 def _proposed(settings: Settings, store: Store) -> DesignSource:
     damage: list[str] = []
-    upstream = survey(settings, STAGES, store, say=damage.append)
+    record = store.read_study(settings.name)
+    upstream = recorded_results(settings, record, STAGES, store, say=damage.append).upstream
     if damage:  # a missing trial would shift the mean and select another champion
         raise PuddleError(damage[0])
     found = read_scores(settings, upstream["transfer"], store).items()

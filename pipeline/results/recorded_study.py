@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.config.settings import Settings
-from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
+from pipeline.errors import PuddleError
 from pipeline.results import catalogue
 from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.stages import STAGES, environments
@@ -23,12 +22,11 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.stages.trial_scores import decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
-from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
-from pipeline.workflow.graph import survey
-from pipeline.workflow.identity import ChainId, TrialId, item_label, trials_of
+from pipeline.workflow.identity import TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
-from pipeline.workflow.stage import AnyStage, Results, Upstream
+from pipeline.workflow.recorded import RecordedResults, recorded_results
+from pipeline.workflow.stage import Upstream
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
 
@@ -72,33 +70,19 @@ class Study:
         return self.record.name
 
     @cached_property
-    def upstream(self) -> Upstream:
-        """What the store holds of each stage, by name.
-
-        That is what the settings lead to, and what the record lists beyond an item that was lost.
-        """
+    def _recorded(self) -> RecordedResults:
         with self.store.lock_to_read():
-            found = survey(self.settings, STAGES, self.store, say=lambda line: None)
-            return {stage.name: self._with_recorded(stage, found[stage.name]) for stage in STAGES}
+            return recorded_results(self.settings, self.record, STAGES, self.store)
 
-    def _with_recorded(self, stage: AnyStage, found: Results) -> Results:
-        keys = {item.label: item.key for item in self.record.items if item.stage == stage.name}
-        done: dict[ChainId, tuple[Manifest, ...]] = {}
-        n_done = dict(found.n_done)
-        for chain in stage.plan(self.settings):
-            manifests = found.done.get(chain.identity, ())
-            if not manifests:
-                listed = [self._manifest(stage.name, keys.get(item_label(chain, i))) for i in range(chain.n_items)]
-                manifests = tuple(one for one in listed if one is not None)
-                n_done[chain.identity] = max(len(manifests), n_done.get(chain.identity, 0))
-            if len(manifests) == chain.n_items:
-                done[chain.identity] = manifests
-        return replace(found, done=done, n_done=n_done)
+    @property
+    def upstream(self) -> Upstream:
+        """What the study has on record of each stage, by name."""
+        return self._recorded.upstream
 
-    def _manifest(self, stage: str, key: str | None) -> Manifest | None:
-        with suppress(DamagedArtifact, OtherVersion):
-            return None if key is None else self.store.manifest(stage, key)
-        return None
+    @property
+    def note(self) -> str:
+        """A line that says of which stages today's code would make other results; "" if of none."""
+        return self._recorded.note(self.name)
 
     @property
     def progress(self) -> dict[str, StageProgress]:
@@ -278,8 +262,8 @@ def _words(only: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} {value}" for key, value in only.items())
 
 
-def open_study(name: str, store: str | Path = "store") -> Study:
-    """Open a recorded study.
+def open_study(name: str, store: str | Path = "store", *, say: Callable[[str], None] | None = None) -> Study:
+    """Open a recorded study, and say in a line where today's code would make other results of its settings.
 
     Raises:
         PuddleError: there is no store or no such study (the message lists those there are), or its record is damaged
@@ -287,4 +271,7 @@ def open_study(name: str, store: str | Path = "store") -> Study:
     """
     opened = Store.open(Path(store), create=False)
     record = recorded_study(opened, name)
-    return Study(opened, record, settings_of(record))
+    study = Study(opened, record, settings_of(record))
+    if say is not None and study.note:
+        say(study.note)
+    return study

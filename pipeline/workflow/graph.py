@@ -81,15 +81,16 @@ class StageRun:
 
     def chains(self) -> list[ChainProgress]:
         """Plan the stage's chains and advance each as far as the store has its items."""
-        found = []
-        for chain in _evenly_weighted(self.stage.plan(self.settings)):
-            progress = ChainProgress(chain)
-            try:
-                self.advance(progress)
-            except MissingInputs as missing:
-                progress.failed = Failure(str(missing), tried=False)
-            found.append(progress)
-        return found
+        return [self.progress_of(chain) for chain in _evenly_weighted(self.stage.plan(self.settings))]
+
+    def progress_of(self, chain: Chain[Any]) -> ChainProgress:
+        """Advance a chain as far as the store has its items."""
+        progress = ChainProgress(chain)
+        try:
+            self.advance(progress)
+        except MissingInputs as missing:
+            progress.failed = Failure(str(missing), tried=False)
+        return progress
 
     def next_item(self, progress: ChainProgress) -> Item[Any]:
         """Specify a chain's next item; raise MissingInputs if an input failed or is not done."""

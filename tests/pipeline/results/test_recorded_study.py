@@ -4,12 +4,15 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
+from small_study import run
 
 import puddle
+from pipeline.cluster import serial_cluster
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.results.recorded_study import CHAMPIONS, StageProgress, open_study
@@ -190,3 +193,20 @@ def test_an_unknown_study_a_damaged_record_and_no_store(recorded, tmp_path):
     shutil.rmtree(root / "studies")
     with pytest.raises(PuddleError, match="holds no study yet"):
         open_study("tiny", root)
+
+
+def test_a_study_is_read_by_its_recorded_keys(settings, recorded, opened, tmp_path):
+    """Where today's settings lead to another study's results, the recorded ones are shown, and a warning says so."""
+    root = shutil.copytree(recorded, tmp_path / "store")
+    store = Store.open(root, create=False)
+    other = settings.model_copy(update={"seed": 7})
+    with serial_cluster() as cluster:  # what the settings below lead to
+        run(other, store, cluster)
+    store.write_study(replace(store.read_study("tiny"), settings=other.model_dump(mode="json")))
+    note = "shown as it was recorded.*results of collect, train, pilot, evolve, transfer, assess, analyse;"
+    with pytest.warns(UserWarning, match=note):
+        found = puddle.open_study("tiny", store=root)
+    assert found.champions() == opened.champions()
+    assert found.table("histories")["fitness"] == opened.table("histories")["fitness"]
+    weights = [ensemble.weights[0] for ensemble in (found.ensemble(), opened.ensemble())]
+    np.testing.assert_array_equal(*weights)
