@@ -23,14 +23,11 @@ from pipeline.commands.gc import gc
 from pipeline.commands.list_champions import list_champions
 from pipeline.commands.list_settings import list_settings
 from pipeline.commands.output import flush, to_stdout
-from pipeline.commands.power import power
 from pipeline.commands.score import score
-from pipeline.commands.sensitivity import sensitivity
 from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
 from pipeline.commands.studies import studies
-from pipeline.commands.suggest_throws import suggest_throws
 from pipeline.commands.track import track
 from pipeline.commands.ui import ui
 from pipeline.commands.verify import verify
@@ -50,7 +47,6 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         **{name: study.stage_command(name) for name in study.STAGE_SUMMARIES},
         "settings": list_settings,
         "forecast": forecast,
-        "sensitivity": sensitivity,
     },
     "Look": {
         "status": status,
@@ -59,8 +55,6 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "compare": compare,
         "simulate": simulate,
         "score": score,
-        "suggest-throws": suggest_throws,
-        "power": power,
         "export": export,
         "ui": ui,
     },

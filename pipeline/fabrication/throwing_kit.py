@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterable, Sequence
 from importlib.resources import files as package_files
+from math import degrees, tau
 from pathlib import Path
 
 import yaml
@@ -15,7 +17,10 @@ from pipeline.store.owned_folder import FolderKind
 from pipeline.vision import require_vision
 from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.fabrication.throwing_bars import BarError, ThrowingBar, throwing_bars
-from tasks.world import froude_time
+from tasks.residual.robot_ranges import robot_ranges
+from tasks.residual.throws import even_starts
+from tasks.seeding import generator
+from tasks.world import Physics, froude_time
 
 THROWING_KIT = FolderKind("a throwing kit", "puddle.throwing-kit", 1, "throwing-kit.json")
 MARKERS = "markers.yaml"
@@ -54,25 +59,23 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     except BarError as error:
         raise PuddleError(str(error)) from None
     markers = markers_of(throwing, bars)
+    throws = _throws(bars, settings.scale_mm_per_m / 1000, lowest=-throwing.waterline, highest=throwing.tank_height - throwing.waterline)
     made = tag_sheets(markers, [bar.name for bar in bars])
     for bar in bars:
         mesh = mesh_of(plate_of(bar, settings))
         mesh = type(mesh)(mesh.vertices - mesh.vertices.min(axis=0), mesh.triangles)
         made |= {f"print/{bar.name}.stl": stl(mesh), f"print/{bar.name}.3mf": three_mf([(bar.name, mesh)])}
-    made["bars.csv"] = _bars_csv(bars)
+    made["bars.csv"], made["throws.csv"] = _bars_csv(bars), _csv(_THROW, throws)
     made[MARKERS] = (_HEADING + yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)).encode()
-    reach_mm = max(throwing.lengths) * settings.scale_mm_per_m  # twice as far as a link that touches the surface
     body = TEMPLATES.get_template("throwing_kit.html").render(
         bars=bars,
+        throws=throws,
         kit=settings,
         throwing=throwing,
         markers=markers,
         sheets=sorted(name.removesuffix(".svg") for name in made if name.endswith(".svg")),
-        speed=settings.scale_mm_per_m / 1000 / froude_time(settings.scale_mm_per_m / 1000),
         rod_length=settings.pitch_mm + settings.thickness_mm,
         smallest_module=min(bar.tag_mm for bar in bars) / 6,
-        highest_mm=min(1000 * (throwing.tank_height - throwing.waterline), reach_mm),
-        lowest_mm=min(1000 * throwing.waterline, reach_mm),
     )
     css = package_files("pipeline.fabrication").joinpath("kit.css").read_text("utf-8")
     made["index.html"] = document(title="Bars to throw", policy=_POLICY, body=body, css=f"\n{css}").encode()
@@ -88,11 +91,41 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
 
 
 def _bars_csv(bars: tuple[ThrowingBar, ...]) -> bytes:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(("name", "length_mm", "width_mm", "rod_at_mm", "infill", "plate_g", "rods_g", "trim_g", "mass_g"))
+    rows = []
     for bar in bars:
         sides = [f"{value:.1f}" for value in (bar.length_mm, bar.width_mm, bar.rod_at_mm)]
         masses = [f"{value:.1f}" for value in (bar.plate_g, bar.rods_g, bar.trim_g, bar.mass_g)]
-        rows.writerow((bar.name, *sides, f"{bar.infill:.2f}", *masses))
+        rows.append((bar.name, *sides, f"{bar.infill:.2f}", *masses))
+    return _csv(
+        ("name", "length_mm", "width_mm", "rod_at_mm", "infill", "plate_g", "rods_g", "trim_g", "mass_g"), rows
+    )
+
+
+_THROW = ("bar", "y_mm", "angle_deg", "vx_m_s", "vy_m_s", "turns_per_s")
+_N_THROWS = 64  # a power of 2, whose starts are balanced
+
+
+def _throws(bars: Sequence[ThrowingBar], scale: float, *, lowest: float, highest: float) -> list[tuple[str, ...]]:
+    """Return starts that are spread evenly over the states of robots' links, with the bars and in the tank there are.
+
+    Args:
+        bars: bars of the kit.
+        scale: bench metres per simulated metre.
+        lowest: least height over the water that the tank's tags show [m].
+        highest: greatest height.
+    """
+    ranges, time = robot_ranges(Physics()), froude_time(scale)
+    heights = max(lowest / scale, -ranges.y_reach), min(highest / scale, ranges.y_reach)
+    starts = even_starts(_N_THROWS, Physics(), generator(0, "throwing kit"), heights=heights)
+    rows = []
+    for length, (_, y, angle, vx, vy, omega) in zip(starts.length_scale, starts.state.tolist(), strict=True):
+        bar = min(bars, key=lambda bar: abs(bar.length_scale - length))
+        velocity = (f"{value * scale / time:z.2f}" for value in (vx, vy))
+        rows.append((bar.name, f"{1000 * scale * y:z.0f}", f"{degrees(angle):.0f}", *velocity, f"{omega / tau / time:z.1f}"))
+    return rows
+
+
+def _csv(head: Sequence[str], rows: Iterable[Sequence[str]]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows((head, *rows))
     return text.getvalue().encode()

@@ -8,7 +8,6 @@ from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.observation import OBSERVATION, STATE, observe
 from tasks.residual.robot_ranges import robot_ranges
-from tasks.residual.suggestion import suggest_throws
 from tasks.residual.throws import (
     DesignedThrows,
     MeasuredTransitions,
