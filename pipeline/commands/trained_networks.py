@@ -9,8 +9,8 @@ from pipeline.stages.collect import COLLECT, throws_inputs
 from pipeline.stages.data_sets import DataSetId, data_sets, main_data_set
 from pipeline.stages.train import TRAIN
 from pipeline.store.store import Store
-from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.identity import InputName
+from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.stage import Files
 from tasks.world import ENVIRONMENTS, EnvironmentName
 

@@ -15,8 +15,8 @@ from pipeline.stages.transfer import CHAMPION, read_scores
 from pipeline.store.design_file import design_from, read_design
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store
-from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.identity import TrialId, arms_of
+from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.stage import Execution, MissingInputs, Results
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs

@@ -59,7 +59,8 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     except BarError as error:
         raise PuddleError(str(error)) from None
     markers = markers_of(throwing, bars)
-    throws = _throws(bars, settings.scale_mm_per_m / 1000, lowest=-throwing.waterline, highest=throwing.tank_height - throwing.waterline)
+    highest = throwing.tank_height - throwing.waterline
+    throws = _throws(bars, settings.scale_mm_per_m / 1000, lowest=-throwing.waterline, highest=highest)
     made = tag_sheets(markers, [bar.name for bar in bars])
     for bar in bars:
         mesh = mesh_of(plate_of(bar, settings))
@@ -96,9 +97,7 @@ def _bars_csv(bars: tuple[ThrowingBar, ...]) -> bytes:
         sides = [f"{value:.1f}" for value in (bar.length_mm, bar.width_mm, bar.rod_at_mm)]
         masses = [f"{value:.1f}" for value in (bar.plate_g, bar.rods_g, bar.trim_g, bar.mass_g)]
         rows.append((bar.name, *sides, f"{bar.infill:.2f}", *masses))
-    return _csv(
-        ("name", "length_mm", "width_mm", "rod_at_mm", "infill", "plate_g", "rods_g", "trim_g", "mass_g"), rows
-    )
+    return _csv(("name", "length_mm", "width_mm", "rod_at_mm", "infill", "plate_g", "rods_g", "trim_g", "mass_g"), rows)
 
 
 _THROW = ("bar", "y_mm", "angle_deg", "vx_m_s", "vy_m_s", "turns_per_s")
@@ -121,7 +120,9 @@ def _throws(bars: Sequence[ThrowingBar], scale: float, *, lowest: float, highest
     for length, (_, y, angle, vx, vy, omega) in zip(starts.length_scale, starts.state.tolist(), strict=True):
         bar = min(bars, key=lambda bar: abs(bar.length_scale - length))
         velocity = (f"{value * scale / time:z.2f}" for value in (vx, vy))
-        rows.append((bar.name, f"{1000 * scale * y:z.0f}", f"{degrees(angle):.0f}", *velocity, f"{omega / tau / time:z.1f}"))
+        rows.append(
+            (bar.name, f"{1000 * scale * y:z.0f}", f"{degrees(angle):.0f}", *velocity, f"{omega / tau / time:z.1f}")
+        )
     return rows
 
 

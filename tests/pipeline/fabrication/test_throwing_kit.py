@@ -31,9 +31,17 @@ def test_every_file_is_there_and_every_link_leads_somewhere(kit):
     page = (kit / "index.html").read_text()
     links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
     assert len(links) >= 16 and links <= held
-    assert "120 mm above to 150 mm below the water" in page  # as far as the tank's tags reach
     rows = list(csv.DictReader(io.StringIO((kit / "bars.csv").read_text())))
     assert [row["mass_g"] for row in rows] == ["196.0"] * 4
+
+
+def test_throws_are_spread_over_what_bars_and_tank_allow(kit):
+    throws = list(csv.DictReader(io.StringIO((kit / "throws.csv").read_text())))
+    bars = {row["name"] for row in csv.DictReader(io.StringIO((kit / "bars.csv").read_text()))}
+    heights = [float(row["y_mm"]) for row in throws]
+    assert len(throws) == 64 and {row["bar"] for row in throws} == bars
+    assert -150 <= min(heights) < -130 and 100 < max(heights) <= 120  # as far as the tank's tags reach
+    assert 0.9 < max(float(row["vx_m_s"]) for row in throws) < 1.6
 
 
 @pytest.mark.parametrize("sheet", ["faces", "tags", "board"])
