@@ -12,8 +12,7 @@ import numpy as np
 from pipeline.config.loading import load
 from pipeline.config.settings import RolloutSettings
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_folder import KIT, KIT_MANIFEST
-from pipeline.fabrication.timeline_file import read_timeline
+from pipeline.fabrication.kit_files import KIT, KIT_MANIFEST, read_timeline
 from pipeline.report.run_page import in_mm, note_on, render_run, verdict, words_for_lags
 from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk

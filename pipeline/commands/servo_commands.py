@@ -25,25 +25,17 @@ class PortOptions:
 
     port: Annotated[str | None, typer.Option("--port", help="Port of the servo controller: /dev/ttyACM0.")] = None
     list_ports: Annotated[bool, typer.Option("--list-ports", help="List this machine's serial ports.")] = False
-    baud: Annotated[int, typer.Option("--baud", min=300, max=200_000, help="Rate of a wired port; unused by USB.")] = (
-        115200
-    )
-    baud_detection: Annotated[
-        bool, typer.Option("--baud-detection", help="Send 0xAA first: the controller detects the baud rate.")
-    ] = False
     timeout: Annotated[
-        float,
-        typer.Option("--timeout", min=0.01, help="Longest wait for the controller's answer [s]; more on a slow line."),
+        float, typer.Option("--timeout", min=0.01, help="Longest wait for the controller's answer [s].")
     ] = 0.1
 
     def connection(self) -> dict[str, Any]:
-        """Return the fields of a :class:`pipeline.servo.connection.Connection`."""
-        names = ("port", "baud", "baud_detection", "timeout")
-        return {name: getattr(self, name) for name in names}
+        """Return the fields of a :class:`pipeline.servo.play.Connection`."""
+        return {"port": self.port, "timeout": self.timeout}
 
     def show_ports(self) -> None:
         """List the serial ports and exit, if the user asked for that."""
-        from pipeline.servo.connection import port_lines
+        from pipeline.servo.maestro import port_lines
 
         if self.list_ports:
             for line in port_lines():
@@ -55,7 +47,7 @@ _STANDARD_INPUT = 0  # its file descriptor
 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Do everything except talk to a controller.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Start without asking for confirmation.")]
-Log = Annotated[Path | None, typer.Option("--log", help="Log of what was sent (Parquet); default beside the timeline.")]
+Log = Annotated[Path | None, typer.Option("--log", help="Log of what was sent (CSV); default beside the timeline.")]
 
 
 @with_options
@@ -69,7 +61,7 @@ def play(
         typer.Option("--calibration", help="The servos' calibration; default calibration.yaml beside the timeline."),
     ] = None,
     dry_run: DryRun = False,
-    duration: Annotated[float | None, typer.Option("--duration", help="Stop after this time [s].")] = None,
+    duration: Annotated[float | None, typer.Option("--duration", min=0.0, help="Stop after this time [s].")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Repeat the timeline until stopped.")] = False,
     yes: Yes = False,
     log: Log = None,
@@ -118,7 +110,7 @@ def off(
     """Switch the servos off at once, wherever they are, and check that the controller has stopped their pulses."""
     from contextlib import closing
 
-    from pipeline.servo.connection import Connection, calibration_at, open_controller, switch_off
+    from pipeline.servo.play import Connection, calibration_at, open_controller, switch_off
 
     port.show_ports()
     if kit is None:

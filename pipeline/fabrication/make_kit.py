@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_folder import KIT, write_kit
+from pipeline.fabrication.kit_files import KIT, calibration_yaml, timeline_csv, timeline_json, write_folder
 from pipeline.fabrication.source import DesignSource, from_file, proposed
-from pipeline.fabrication.timeline_file import calibration_yaml, timeline_csv, timeline_json
 from pipeline.stages import environments
 from pipeline.store.design_file import design_document
 from pipeline.store.encoding import Json, canonical_json, digest, encode_json
@@ -119,7 +118,7 @@ def fabricate(
         },
     }
     last = f"{verdict(findings)} Kit of a robot of {kit.mass_g:.0f} g: {out / 'index.html'}"
-    lines = write_kit(place, files, manifest)
+    lines = write_folder(KIT, place, files, manifest)
     _mirror(tracker, source, design is None, chosen, metrics, files)
     return KitResult([*lines, *_lines(findings, bench.loads), last], faults)
 

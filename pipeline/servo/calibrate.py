@@ -7,15 +7,15 @@ time-out switches silent channels off. Limits, rates and the shutdown are those 
 import contextlib
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from math import degrees, radians
+from math import degrees, isfinite, radians
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.errors import PuddleError
-from pipeline.fabrication.timeline_file import calibration_yaml, read_timeline
-from pipeline.servo.connection import Connection, calibration_at, open_controller
-from pipeline.servo.play import SAFETY, new_log, run
+from pipeline.fabrication.kit_files import calibration_yaml, read_timeline
+from pipeline.servo.log import default_path
+from pipeline.servo.play import SAFETY, Confirm, Connection, Say, calibration_at, open_controller, run
 from pipeline.servo.player import Clock, Frames
 from pipeline.store import disk
 from tasks.arrays import Float64
@@ -28,47 +28,37 @@ _SPEED = 0.5  # of a servo that is being calibrated [rad/s]
 _SMALLEST_TURN_US, _SMALLEST_TURN = 50.0, radians(5)  # below, the error of reading an angle is too large
 _PLAUSIBLE_US_PER_RAD = (100.0, 3000.0)  # a common servo has 600
 
-ReadLine = Callable[[], str | None]
-"""Returns the next line that the user typed, or None while there is none. Raises EOFError where none can follow."""
-
 
 @dataclass(frozen=True)
 class CalibrateOptions(Connection):
     """Options of a calibration."""
 
-    path: Path  # A kit, or a calibration file
+    path: Path  # a kit, or a calibration file
     joints: Sequence[int] = ()  # joints to calibrate; all if empty
-    log: Path | None = None  # log file; None puts servo-DATE-TIME.parquet beside the calibration
+    log: Path | None = None  # log file; None puts servo-DATE-TIME.csv beside the calibration
 
 
 @dataclass(frozen=True)
 class Dialogue:
     """The user on the terminal."""
 
-    confirm: Callable[[str], bool]  # asks a yes-or-no question
-    say: Callable[[str], None]  # shows a line
-    read: ReadLine
+    confirm: Confirm
+    say: Say
+    read: Callable[[], str | None]
+    """Returns the next line that the user typed, or None while there is none. Raises EOFError where none can follow."""
 
 
 def calibrate(options: CalibrateOptions, user: Dialogue, clock: Clock | None = None) -> bool:
     """Measure servos with the user's help, and write their calibration beside the previous one.
 
-    Args:
-        options: What to calibrate, and where.
-        user: The user.
-        clock: Clock of the run; None takes the computer's.
-
-    Returns:
-        Whether a calibration was written; False if the user declined or stopped.
-
-    Raises:
-        PuddleError: A file is invalid, the port or the controller fails. The calibration is unchanged.
+    Returns whether a calibration was written; False if the user declined or stopped. Raises PuddleError if a file is
+    invalid, or the port or the controller fails; the calibration is then unchanged.
     """
     path, before = calibration_at(options.path)
     if unknown := set(options.joints) - {servo.joint for servo in before.servos}:
         known = ", ".join(str(servo.joint) for servo in before.servos)
         raise PuddleError(f"--joint: {path} has servos for joints {known}, got {min(unknown)}")
-    log_path = new_log(options.log, path.parent)
+    log_path = options.log or default_path(path.parent)
     measured: dict[int, ServoCalibration] = {}
     with contextlib.closing(open_controller(options)) as controller:
         user.say(f"{SAFETY} The log of this run: {log_path}")
@@ -76,18 +66,25 @@ def calibrate(options: CalibrateOptions, user: Dialogue, clock: Clock | None = N
             user.say("Nothing was moved.")
             return False
         chosen = [servo for servo in before.servos if not options.joints or servo.joint in options.joints]
-        for number, servo in enumerate(chosen):
+        for number, servo in enumerate(chosen, 1):
             free = {"min_us": _LOWEST_US, "max_us": _HIGHEST_US, "max_speed": min(_SPEED, servo.max_speed)}
-            of_servo = log_path if number == 0 else log_path.with_stem(f"{log_path.stem}-{number + 1}")
+            of_servo = log_path if number == 1 else log_path.with_stem(f"{log_path.stem}-{number}")
             frames = _measurement(servo, user, measured)
             if not run(controller, [servo.model_copy(update=free)], frames, of_servo, user.say, clock or Clock()):
                 user.say(f"{path} is unchanged.")
                 return False
     after = Calibration(servos=tuple(measured.get(servo.channel, servo) for servo in before.servos))
     for servo in measured.values():
-        user.say(_summary(servo))
-    for problem in _problems(path.with_name("timeline.json"), after):
-        user.say(problem)
+        user.say(
+            f"joint {servo.joint} on channel {servo.channel}: rest at {servo.centre_us:g} µs, "
+            f"{servo.us_per_rad:.0f} µs/rad, direction {servo.direction:+d}, {servo.min_us:g} to {servo.max_us:g} µs"
+        )
+    timeline = path.with_name("timeline.json")
+    if timeline.is_file():
+        try:
+            pulses(read_timeline(timeline), after)
+        except TimelineError as error:
+            user.say(f"With these values {timeline} can't be played: {str(error).removesuffix('.')}.")
     previous = disk.unused(path)
     if not user.confirm(f"Write {path}? The previous calibration stays as {previous.name}."):
         user.say(f"{path} is unchanged.")
@@ -128,41 +125,28 @@ def _scale(rest: float, user: Dialogue) -> Generator[Float64, None, tuple[float,
             "forward to the right."
         )
         angle = radians((yield from _number(pulse, user)))
-        if abs(pulse - rest) < _SMALLEST_TURN_US or abs(angle) < _SMALLEST_TURN:
-            user.say(
-                f"Expected a turn of at least {_SMALLEST_TURN_US:g} µs and {degrees(_SMALLEST_TURN):g}°, got "
-                f"{abs(pulse - rest):g} µs and {degrees(abs(angle)):g}°."
-            )
+        turn = abs(pulse - rest)
+        if turn < _SMALLEST_TURN_US or abs(angle) < _SMALLEST_TURN:
+            least = f"{_SMALLEST_TURN_US:g} µs and {degrees(_SMALLEST_TURN):g}°"
+            user.say(f"Expected a turn of at least {least}, got {turn:g} µs and {degrees(abs(angle)):g}°.")
             continue
-        us_per_rad = abs((pulse - rest) / angle)
-        low, high = _PLAUSIBLE_US_PER_RAD
+        us_per_rad, (low, high) = turn / abs(angle), _PLAUSIBLE_US_PER_RAD
         if low <= us_per_rad <= high:
             return us_per_rad, 1 if (pulse - rest) * angle > 0 else -1, pulse
         user.say(f"Expected {low:g} to {high:g} µs/rad, got {us_per_rad:.0f}. Is the angle in degrees?")
 
 
 def _moved(
-    pulse: float, question: str, user: Dialogue, *, below: float | None = None, above: float | None = None
+    pulse: float, question: str, user: Dialogue, *, below: float = np.inf, above: float = -np.inf
 ) -> Generator[Float64, None, float]:
-    """Move a servo by the user's steps until an empty line.
-
-    Args:
-        pulse: The pulse now [µs].
-        question: What to move it to.
-        user: The user.
-        below: The pulse must end below this one [µs].
-        above: The pulse must end above this one [µs].
-
-    Returns:
-        The pulse at which the user stopped [µs].
-    """
+    """Move a servo from a pulse [µs] by the user's steps until an empty line between two pulses. Return the last."""
     user.say(f"{question} Now {pulse:g} µs.")
     while True:
         step = yield from _number(pulse, user, empty=0.0)
         if step == 0.0:
-            if (below is None or pulse < below) and (above is None or pulse > above):
+            if above < pulse < below:
                 return pulse
-            side, rest = ("less", below) if below is not None else ("more", above)
+            side, rest = ("less", below) if pulse >= below else ("more", above)
             user.say(f"Expected {side} than the pulse at rest, {rest:g} µs, got {pulse:g}.")
         elif abs(step) > _LARGEST_STEP_US:
             user.say(f"Expected a step of at most {_LARGEST_STEP_US:g} µs, got {step:g}.")
@@ -185,24 +169,6 @@ def _number(pulse: float, user: Dialogue, *, empty: float | None = None) -> Gene
             continue
         with contextlib.suppress(ValueError):
             value = float(line) if line.strip() or empty is None else empty
-            if np.isfinite(value):
+            if isfinite(value):
                 return value
         user.say(f"Expected a number, got {line.strip()!r}.")
-
-
-def _summary(servo: ServoCalibration) -> str:
-    return (
-        f"joint {servo.joint} on channel {servo.channel}: rest at {servo.centre_us:g} µs, "
-        f"{servo.us_per_rad:.0f} µs/rad, direction {servo.direction:+d}, {servo.min_us:g} to {servo.max_us:g} µs"
-    )
-
-
-def _problems(timeline: Path, calibration: Calibration) -> list[str]:
-    """Say why a kit's timeline can't be played with a calibration."""
-    if not timeline.is_file():
-        return []
-    try:
-        pulses(read_timeline(timeline), calibration)
-    except TimelineError as error:
-        return [f"With these values {timeline} can't be played: {str(error).removesuffix('.')}."]
-    return []

@@ -10,7 +10,6 @@ from pipeline.servo.servo_controller import ServoController
 from tasks.fabrication.calibration import ServoCalibration
 
 _STEPS_PER_US = 4  # a Maestro resolves a quarter of a microsecond
-
 LONGEST_STEP = 0.04  # longest time since the last command that a servo may move for [s]: two frames
 
 

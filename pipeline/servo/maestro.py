@@ -1,4 +1,4 @@
-"""Pololu's Maestro over its serial port, in the compact protocol.
+"""Pololu's Maestro over its USB Command Port, in the compact protocol.
 
 Source: Pololu Maestro Servo Controller User's Guide, sections 4.b (errors), 5.c to 5.e (protocol and commands),
 https://www.pololu.com/docs/0J40. A command byte has its top bit set; data bytes hold 7 bits each, low bits first.
@@ -11,21 +11,20 @@ when the host falls silent (docs/servo.md).
 import contextlib
 import errno
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
 
 import serial
+from serial.tools.list_ports import comports
 
 from pipeline.errors import PuddleError
 from pipeline.servo.servo_controller import ControllerError, PortLostError
 
 _SET_TARGET, _SET_SPEED, _SET_ACCELERATION = 0x84, 0x87, 0x89
 _GET_POSITION, _GET_ERRORS, _GO_HOME = 0x90, 0xA1, 0xA2
-_BAUD_INDICATION = 0xAA
 _UNITS_PER_US = 4  # a target is in quarters of a microsecond
 _SPEED_UNIT_US = 25.0  # a speed is in quarters of a microsecond per 10 ms, that is 25 µs/s
 _ERRORS_BY_BIT = (
-    "serial signal error (a framing error or a wrong baud rate)",
+    "serial signal error (a framing error)",
     "serial overrun (bytes arrived faster than it could read them)",
     "serial buffer full",
     "serial CRC error (CRC is enabled in its settings; puddle sends none)",
@@ -35,15 +34,11 @@ _ERRORS_BY_BIT = (
     "script call stack error",
     "script program counter error",
 )
-
-VENDOR_ID = 0x1FFB
-PRODUCT_IDS = (0x0089, 0x008A, 0x008B, 0x008C)  # USB product IDs of the Maestros with 6, 12, 18 and 24 channels
+_VENDOR_ID, _PRODUCT_IDS = 0x1FFB, (0x0089, 0x008A, 0x008B, 0x008C)  # Maestros with 6, 12, 18 and 24 channels
 
 
 def two_bytes(value: int) -> bytes:
     """Split a 14-bit number into its low and its high seven bits."""
-    if not 0 <= value < 1 << 14:
-        raise ValueError(f"{value} does not fit into two data bytes, expected 0 to 16383")
     return bytes((value & 0x7F, value >> 7))
 
 
@@ -65,17 +60,13 @@ def no_acceleration_limit(channel: int) -> bytes:
 class Maestro:
     """A Maestro on an open port; implements :class:`pipeline.servo.servo_controller.ServoController`."""
 
-    def __init__(self, port: Any, *, baud_detection: bool = False) -> None:
-        """Take an open port of pyserial; a controller with baud detection waits for 0xAA to detect the baud rate."""
+    def __init__(self, port: serial.Serial) -> None:
         self._port = port
-        self._baud_detection = baud_detection
         self.name = str(port.name)
 
     def prepare(self, rates_us: Mapping[int, float]) -> None:
         """Contact the controller, clear old errors and limit the rate [µs/s] of each channel."""
-        if self._baud_detection:
-            self._write(bytes((_BAUD_INDICATION,)))
-        with contextlib.suppress(serial.SerialException, OSError):
+        with self._port_kept("sending"):
             self._port.reset_input_buffer()  # answers to an earlier program
         self._read_errors()  # reading clears them; a time-out since the last run is expected
         for channel, rate in rates_us.items():
@@ -92,8 +83,7 @@ class Maestro:
 
     def check(self) -> None:
         """Raise ControllerError if the controller reports errors."""
-        bits = self._read_errors()
-        if bits:
+        if bits := self._read_errors():
             names = [name for bit, name in enumerate(_ERRORS_BY_BIT) if bits >> bit & 1]
             raise ControllerError(f"{self.name}: the controller reports: {'; '.join(names)}")
 
@@ -113,63 +103,52 @@ class Maestro:
     def _read_errors(self) -> int:
         bits = int.from_bytes(self._ask(bytes((_GET_ERRORS,))), "little")
         if bits >> len(_ERRORS_BY_BIT):
-            raise ControllerError(
-                f"{self.name}: expected error bits 0 to {len(_ERRORS_BY_BIT) - 1}, got {bits:#06x}. "
-                f"Is this a Maestro's Command Port?"
-            )
+            expected = f"expected error bits 0 to {len(_ERRORS_BY_BIT) - 1}, got {bits:#06x}"
+            raise ControllerError(f"{self.name}: {expected}. Is this a Maestro's Command Port?")
         return bits
 
     def _write(self, data: bytes) -> None:
-        try:
+        with self._port_kept("sending"):
             self._port.write(data)
-        except (serial.SerialException, OSError) as error:
-            raise PortLostError(f"{self.name}: lost the port while sending: {_reason(error)}") from error
 
     def _ask(self, command: bytes) -> bytes:
         """Send a command and read its answer of two bytes."""
-        try:
-            unread = self._port.in_waiting
-            if unread:
-                data = self._port.read(unread)
-                raise ControllerError(
-                    f"{self.name}: expected no bytes before the next command, got {data[:16].hex(' ')}"
-                )
+        with self._port_kept("asking"):
+            early = self._port.read(self._port.in_waiting)
             self._port.write(command)
             answer = bytes(self._port.read(2))
-        except (serial.SerialException, OSError) as error:
-            raise PortLostError(f"{self.name}: lost the port while asking: {_reason(error)}") from error
+        if early:
+            got = early[:16].hex(" ")
+            raise ControllerError(f"{self.name}: expected no bytes before the next command, got {got}")
         if len(answer) < 2:
             raise ControllerError(
                 f"{self.name}: expected an answer to {command.hex(' ')} within {self._port.timeout:g} s, got "
-                f"{answer.hex(' ') or 'nothing'}. Is this a Maestro's Command Port? On a slow line, raise --timeout."
+                f"{answer.hex(' ') or 'nothing'}. Is this a Maestro's Command Port?"
             )
         return answer
+
+    @contextlib.contextmanager
+    def _port_kept(self, doing: str) -> Iterator[None]:
+        try:
+            yield
+        except (serial.SerialException, OSError) as error:
+            raise PortLostError(f"{self.name}: lost the port while {doing}: {_reason(error)}") from error
 
 
 def _reason(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float = 0.1) -> Maestro:
-    """Open a Maestro's port for exclusive use.
+def open_maestro(path: str, *, timeout: float) -> Maestro:
+    """Open a Maestro's port, such as /dev/ttyACM0, for exclusive use.
 
-    Args:
-        path: The port, such as /dev/ttyACM0.
-        baud: Baud rate; ignored on USB.
-        baud_detection: Whether the controller detects the baud rate from a first byte 0xAA.
-        timeout: Longest wait for an answer, or for bytes to be accepted [s]; a Maestro on USB takes 2 ms.
-
-    Returns:
-        The controller, not yet prepared.
-
-    Raises:
-        PuddleError: The port is missing, busy, forbidden or not a serial port.
+    ``timeout`` is the longest wait for an answer, or for bytes to be accepted [s]; a Maestro takes 2 ms. Raises
+    PuddleError if the port is missing, busy, forbidden or not a serial port.
     """
     try:
-        port = serial.Serial(path, baudrate=baud, timeout=timeout, write_timeout=timeout, exclusive=True)
+        return Maestro(serial.Serial(path, timeout=timeout, write_timeout=timeout, exclusive=True))
     except (serial.SerialException, OSError, ValueError) as error:
         raise PuddleError(f"{path}: {_advice(error)}") from error
-    return Maestro(port, baud_detection=baud_detection)
 
 
 def _advice(error: Exception) -> str:
@@ -181,3 +160,13 @@ def _advice(error: Exception) -> str:
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in text or "busy" in text.lower():
         return "the port is busy. Close the program that uses it (Maestro Control Center, another puddle)."
     return f"can't be opened as a serial port: {text}"
+
+
+def port_lines() -> list[str]:
+    """List this computer's serial ports and mark those of a Maestro."""
+    lines = []
+    for port in sorted(comports(), key=lambda port: port.device):
+        is_maestro = port.vid == _VENDOR_ID and port.pid in _PRODUCT_IDS
+        lines.append(f"{port.device}  {port.description}{'  <- a Maestro' if is_maestro else ''}")
+    advice = "A Maestro has two ports. Pass its Command Port, usually the first, to --port."
+    return [*lines, advice] if lines else ["No serial port found. Is the controller plugged in?"]

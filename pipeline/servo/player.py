@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
-from types import FrameType
 
 import numpy as np
 
@@ -37,22 +36,12 @@ _NOT_SWITCHED_OFF = (
     "hold or move"
 )
 
-
 Frames = Generator[Float64, None, str]
 """Yields the (n_servos,) pulses of each frame [µs], in the order of the servos; returns what ended them, in words."""
 
 
 def frames_of(pulses_us: Float64, *, loop: bool = False, duration: float | None = None) -> Frames:
-    """Yield the frames of a timeline.
-
-    Args:
-        pulses_us: (n_frames, n_servos) pulses [µs].
-        loop: Whether to start again at the end; a timeline begins and ends at rest.
-        duration: Time after which to stop [s]; None plays to the end.
-
-    Returns:
-        A generator of the frames.
-    """
+    """Yield the (n_frames, n_servos) pulses [µs] of a timeline, again and again if ``loop``, for a duration [s]."""
     for frame in itertools.count():
         if duration is not None and frame * _FRAME >= duration:
             return f"stopped after {duration:g} s"
@@ -79,7 +68,7 @@ class StopRequest:
 
     count: int = 0
 
-    def ask(self, signum: int, frame: FrameType | None) -> None:  # noqa: ARG002
+    def ask(self, *_: object) -> None:
         """Handle a signal."""
         self.count += 1
 
@@ -88,8 +77,7 @@ class StopRequest:
 def stopped_by_signals() -> Iterator[StopRequest]:
     """Turn Ctrl-C, SIGTERM and SIGHUP into a request that the player serves within a frame."""
     stop = StopRequest()
-    kinds = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {kind: signal.signal(kind, stop.ask) for kind in kinds}
+    before = {kind: signal.signal(kind, stop.ask) for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield stop
     finally:
@@ -133,10 +121,7 @@ class Player:
         """
         failure: BaseException | None = None
         try:
-            rates = {servo.channel: servo.max_rate_us for servo in self.servos}
-            for channel, rate in rates.items():
-                self._note(f"at most {rate:g} µs/s", channel=channel)
-            self.controller.prepare(rates)
+            self.controller.prepare({servo.channel: servo.max_rate_us for servo in self.servos})
             self._note("start")
             self._hold_neutral()
             ended = self._send_frames(frames)
@@ -147,8 +132,6 @@ class Player:
             raise
         finally:
             self._shut_down(failure)
-
-    # -- the timeline ----------------------------------------------------------------------------------------------
 
     def _hold_neutral(self) -> None:
         start = self.clock.now()
@@ -184,25 +167,22 @@ class Player:
         lateness = max(self.clock.now() - due, 0.0)
         self.worst_lateness = max(self.worst_lateness, lateness)
         if lateness > MAX_LATENESS:
-            raise LateHostError(
-                f"this computer was {lateness:.2f} s late, expected at most {MAX_LATENESS:g} s. Close other programs."
-            )
+            expected = f"expected at most {MAX_LATENESS:g} s. Close other programs."
+            raise LateHostError(f"this computer was {lateness:.2f} s late, {expected}")
         return lateness
 
-    def _command(self, wanted: Mapping[int, float], *, frame: int = -1, lateness: float | None = None) -> None:
+    def _command(self, wanted: Mapping[int, float], *, frame: int | None = None, lateness: float | None = None) -> None:
         """Send pulses and log them, also if the write fails half-way."""
         now = self.clock.now()
         try:
             self._output.send(wanted, now)
         finally:
             since = now - self._began
-            sent = self._output.sent.items()
-            self._record(
-                *(
-                    LogEntry(since, "", frame, channel, wanted[channel], pulse, None, lateness)
-                    for channel, pulse in sent
-                )
+            rows = (
+                LogEntry(since, "", frame, channel, wanted[channel], pulse, None, lateness)
+                for channel, pulse in self._output.sent.items()
             )
+            self._record(*rows)
 
     def _read_back(self, sent: Mapping[int, float]) -> None:
         """Read one servo's pulse, or the errors, in turn: a frame has time for one answer."""
@@ -212,9 +192,7 @@ class Player:
             return
         servo = self.servos[turn]
         position = self._position(servo)
-        if position is None:
-            return
-        if abs(position - sent[servo.channel]) > servo.max_rate_us * _READBACK_DELAY + 2.0:
+        if position is not None and abs(position - sent[servo.channel]) > servo.max_rate_us * _READBACK_DELAY + 2.0:
             raise ControllerError(
                 f"{self.controller.name}: sent {sent[servo.channel]:g} µs to channel {servo.channel}, it puts out "
                 f"{position:g} µs. Set the channel to servo mode, with limits beyond {servo.min_us:g} to "
@@ -227,8 +205,6 @@ class Player:
         if position is not None:
             self._note("position", channel=servo.channel, position=position)
         return position
-
-    # -- shutdown --------------------------------------------------------------------------------------------------
 
     def _shut_down(self, failure: BaseException | None) -> None:
         """Return the servos to neutral and switch them off."""
@@ -249,9 +225,17 @@ class Player:
             self._switch_off(failure, where or self._short_of_neutral())
 
     def _switch_off(self, failure: BaseException | None, where: str) -> None:
+        """Stop the pulses, and read each one back, because written bytes may not have arrived."""
+        now = self.clock.now() - self._began
         try:
-            self._off()
-            self._confirm_off()
+            try:
+                self._output.off()
+            finally:
+                self._record(*(LogEntry(now, event="off", channel=servo.channel, sent=0.0) for servo in self.servos))
+            for servo in self.servos:
+                if position := self._position(servo):
+                    what = f"channel {servo.channel} is switched off but puts out {position:g} µs"
+                    raise ControllerError(f"{self.controller.name}: {what}")
             self.outcome = f"switched off {where}"
         except (PortLostError, ControllerError) as error:
             self.outcome = _UNCONFIRMED if isinstance(error, ControllerError) else _NOT_SWITCHED_OFF
@@ -259,22 +243,6 @@ class Player:
                 raise
         finally:
             self._note(f"servos: {self.outcome}")
-
-    def _off(self) -> None:
-        now = self.clock.now() - self._began
-        try:
-            self._output.off()
-        finally:
-            self._record(*(LogEntry(now, event="off", channel=servo.channel, sent=0.0) for servo in self.servos))
-
-    def _confirm_off(self) -> None:
-        """Read every pulse back, because written bytes may not have arrived."""
-        for servo in self.servos:
-            position = self._position(servo)
-            if position:
-                raise ControllerError(
-                    f"{self.controller.name}: channel {servo.channel} is switched off but puts out {position:g} µs"
-                )
 
     def _return_to_neutral(self, already_asked: int) -> str:
         """Go back at half speed unless the user asks again to stop. Return where the servos are, in words."""
@@ -309,9 +277,7 @@ class Player:
         )
         return f"away from neutral, last sent to: {angles}"
 
-    # -- the log ---------------------------------------------------------------------------------------------------
-
-    def _note(self, event: str, *, channel: int = -1, position: float | None = None) -> None:
+    def _note(self, event: str, *, channel: int | None = None, position: float | None = None) -> None:
         self._record(LogEntry(self.clock.now() - self._began, event=event, channel=channel, position=position))
 
     def _record(self, *entries: LogEntry) -> None:

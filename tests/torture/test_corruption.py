@@ -18,7 +18,7 @@ from pipeline.commands.damage import damaged_items, find_damage
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.fabrication.timeline_file import calibration_yaml, read_calibration, read_timeline, timeline_json
+from pipeline.fabrication.kit_files import calibration_yaml, read_calibration, read_timeline, timeline_json
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
 from pipeline.workflow.record import differences

@@ -14,8 +14,7 @@ from command_line import call as called
 
 from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
-from pipeline.fabrication.kit_folder import write_kit
-from pipeline.fabrication.timeline_file import timeline_json
+from pipeline.fabrication.kit_files import KIT, timeline_json, write_folder
 from pipeline.store.design_file import design_document
 from pipeline.vision.kit_markers import markers_of
 from pipeline.vision.markers_file import RobotTags
@@ -65,7 +64,7 @@ def run(robot, tmp_path_factory):
         "predicted": None,
     }
     manifest = {"name": "crane", "settings": choices.model_dump(mode="json"), "simulated": simulated}
-    write_kit(folder / "kit", files, manifest)
+    write_folder(KIT, folder / "kit", files, manifest)
     trace = simulate(robot, TrueSlush(depth=2.0), n_settle=0, n_measure=N_STEPS, trace=True, physics=LOCKED).trace[0]
     speed = tracks_of(folder / "run.csv", trace)
     return folder, trace, speed

@@ -13,10 +13,9 @@ from command_line import call
 
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
-from pipeline.fabrication.kit_folder import KIT, KIT_MANIFEST, write_kit
+from pipeline.fabrication.kit_files import KIT, KIT_MANIFEST, read_calibration, read_timeline, write_folder
 from pipeline.fabrication.kit_page import TEMPLATES, verdict
 from pipeline.fabrication.make_kit import fabricate
-from pipeline.fabrication.timeline_file import read_calibration, read_timeline
 from pipeline.servo.play import PlayOptions, play_timeline
 from pipeline.store import disk
 from pipeline.store.design_file import design_document, read_design
@@ -215,7 +214,7 @@ def test_a_kit_takes_the_range_of_motion_for_an_amplitude(settings, tmp_path):
 
 def test_a_failing_disk_leaves_the_previous_kit(tmp_path, monkeypatch):
     folder = tmp_path / "kit"
-    write_kit(folder, {"a.txt": b"old", "print/b.txt": b"old"}, {"name": "old"})
+    write_folder(KIT, folder, {"a.txt": b"old", "print/b.txt": b"old"}, {"name": "old"})
     left = 0
 
     def counted(effect):
@@ -233,18 +232,18 @@ def test_a_failing_disk_leaves_the_previous_kit(tmp_path, monkeypatch):
     for first_failure in range(1, 9):  # three files are written and flushed, then two renames
         left = first_failure
         with pytest.raises(PuddleError, match="No space left"):
-            write_kit(folder, {"a.txt": b"new", "print/b.txt": b"new"}, {"name": "new"})
+            write_folder(KIT, folder, {"a.txt": b"new", "print/b.txt": b"new"}, {"name": "new"})
         assert (folder / "a.txt").read_bytes() == (folder / "print/b.txt").read_bytes() == b"old"
         assert [path.name for path in tmp_path.iterdir()] == ["kit"]
     left = 0
-    write_kit(folder, {"a.txt": b"new"}, {"name": "new"})
+    write_folder(KIT, folder, {"a.txt": b"new"}, {"name": "new"})
     assert (folder / "a.txt").read_bytes() == b"new" and not (folder / "print").exists()
 
 
 @pytest.mark.parametrize("after", [False, True])
 def test_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, after):
     folder = tmp_path / "kit"
-    write_kit(folder, {"a.txt": b"old"}, {"name": "old"})
+    write_folder(KIT, folder, {"a.txt": b"old"}, {"name": "old"})
     (folder / "servo-1.parquet").write_bytes(b"log")
     left = 0
 
@@ -265,7 +264,7 @@ def test_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, after):
     for n in range(1, 10):  # three files are written and flushed, then two renames, and their folder is flushed
         left = n
         with pytest.raises(KeyboardInterrupt):
-            write_kit(folder, {"a.txt": b"new"}, {"name": "new"})
+            write_folder(KIT, folder, {"a.txt": b"new"}, {"name": "new"})
         assert (folder / "a.txt").read_bytes() == b"old" and (folder / "servo-1.parquet").read_bytes() == b"log"
         assert [path.name for path in tmp_path.iterdir()] == ["kit"]
 
@@ -273,11 +272,11 @@ def test_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, after):
 def test_files_of_the_user_are_preserved(tmp_path):
     folder = tmp_path / "kit"
     made = {"calibration.yaml": b"a guess", "print/gone.stl": b"part", "design.json": b"{}"}
-    assert write_kit(folder, made, {"name": "old"}) == []
+    assert write_folder(KIT, folder, made, {"name": "old"}) == []
     for content in (b"measured", b"measured again"):
         (folder / "calibration.yaml").write_bytes(content)
         (folder / "servo-1.parquet").write_bytes(b"log")
-        lines = write_kit(folder, {"calibration.yaml": b"another guess", "design.json": b"{}"}, {"name": "new"})
+        lines = write_folder(KIT, folder, {"calibration.yaml": b"another guess", "design.json": b"{}"}, {"name": "new"})
     assert lines == [
         "Preserved calibration-yours-1.yaml.",
         "Preserved calibration.yaml, which you had changed, as calibration-yours-2.yaml.",

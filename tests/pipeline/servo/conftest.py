@@ -32,7 +32,6 @@ class FakeMaestro:
         self.channel_range = (256, 10_000)  # the controller's own limits [quarter µs]
         self.errors = 0
         self.n_bytes = 0
-        self.baud_indications = 0
         self.commands: list[tuple[int, ...]] = []
         self.targets: list[tuple[int, float]] = []  # channel and pulse [µs], in order of arrival
         self.on: dict[int, float] = {}  # channel -> µs, while pulsing
@@ -67,8 +66,7 @@ class FakeMaestro:
     def _take(self, byte: int) -> None:
         if byte & 0x80:
             if self._partial or byte not in DATA_BYTES:
-                self.errors |= PROTOCOL_ERROR if byte != 0xAA or self._partial else 0
-                self.baud_indications += byte == 0xAA
+                self.errors |= PROTOCOL_ERROR
                 self._partial = []
                 if byte not in DATA_BYTES:
                     return

@@ -1,23 +1,46 @@
-"""File formats of servo timelines (timeline.json, timeline.csv) and calibrations (calibration.yaml)."""
+"""What others read of a kit: its manifest, servo timelines (timeline.json, timeline.csv) and calibration.yaml."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field, ValidationError
 
 from pipeline.config.loading import load
 from pipeline.errors import PuddleError
-from pipeline.store.encoding import check_format, decode_json, encode_json
+from pipeline.store.encoding import Json, check_format, decode_json, encode_json
+from pipeline.store.owned_folder import FolderKind
 from tasks.design import N_LINKS
 from tasks.fabrication.calibration import Calibration, ServoCalibration
-from tasks.fabrication.timeline import FRAME_RATE_HZ, Timeline, TimelineError, pulses
+from tasks.fabrication.timeline import FRAME_RATE_HZ, Timeline, pulses
+from tasks.parameters import Parameters
+
+KIT_MANIFEST = "kit.json"  # makes a folder a kit: schema, source, findings and the SHA-256 of every other file
+KIT = FolderKind("a kit", "puddle.kit", 1, KIT_MANIFEST)
 
 _SCHEMA, _VERSION = "puddle.timeline", 1
-_FIELDS = {"schema", "version", "frames_per_second", "joints", "angle", "channels", "pulse_us"}
-
-MAX_TIMELINE_BYTES = 2**24  # largest timeline file, which holds hours of five joints
-
 _RADIAN_DIGITS, _PULSE_DIGITS = 6, 2  # decimals, far finer than any servo
+
+_Columns = tuple[tuple[float, ...], ...]  # a list of numbers per joint or servo
+
+
+class _TimelineDocument(Parameters):
+    schema_name: str = Field(alias="schema")
+    version: int
+    frames_per_second: Literal[50]
+    joints: tuple[Annotated[int, Field(ge=1, lt=N_LINKS)], ...]
+    angle: _Columns
+    channels: tuple[int, ...]
+    pulse_us: _Columns
+
+
+def write_folder(kind: FolderKind, folder: Path, files: Mapping[str, bytes], manifest: Mapping[str, Json]) -> list[str]:
+    """Write files and their manifest as a folder of a kind. Return a line per file of the user that was preserved."""
+    with kind.replace(folder, manifest) as new:
+        for name, content in files.items():
+            new.write(name, content)
+    return new.preserved
 
 
 def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
@@ -54,50 +77,19 @@ def read_timeline(path: Path) -> Timeline:
     Raises PuddleError if the file can't be read or is invalid; the message names the field.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_TIMELINE_BYTES + 1)
+        data = path.read_bytes()
     except OSError as error:
         raise PuddleError(f"{path}: can't read the timeline: {error.strerror}") from None
-    if len(data) > MAX_TIMELINE_BYTES:
-        raise PuddleError(f"{path}: expected a timeline of at most {MAX_TIMELINE_BYTES} bytes. Is it the right file?")
     document = decode_json(data, str(path))
     check_format(document, schema=_SCHEMA, version=_VERSION, source=str(path))
-    if wrong := sorted(document.keys() ^ _FIELDS):
-        problem = "missing" if wrong[0] in _FIELDS else "unknown"
-        raise PuddleError(f"{path}: field {wrong[0]} is {problem}, expected {', '.join(sorted(_FIELDS))}")
-    if document["frames_per_second"] != FRAME_RATE_HZ:
-        raise PuddleError(
-            f"{path}: frames_per_second: expected {FRAME_RATE_HZ:g}, got {document['frames_per_second']!r}"
-        )
-    joints = document["joints"]
-    if not _are_joints(joints):
-        raise PuddleError(f"{path}: joints: expected distinct numbers from 1 to {N_LINKS - 1}, got {joints!r}")
-    angle = document["angle"]
-    if not _are_columns(angle, len(joints)):
-        raise PuddleError(f"{path}: angle: expected {len(joints)} lists of numbers of equal length, one per joint")
     try:
-        return Timeline(joints=tuple(joints), angle=np.array(angle, dtype=np.float64).T)
-    except OverflowError:
-        raise PuddleError(f"{path}: angle: a number is too large") from None
-    except TimelineError as error:
-        raise PuddleError(f"{path}: {error}") from None
-
-
-def _are_joints(joints: Any) -> bool:
-    return (
-        isinstance(joints, list)
-        and all(type(joint) is int and 0 < joint < N_LINKS for joint in joints)
-        and len(set(joints)) == len(joints)
-    )
-
-
-def _are_columns(columns: Any, n_columns: int) -> bool:
-    return (
-        isinstance(columns, list)
-        and len(columns) == n_columns
-        and all(isinstance(column, list) and all(type(v) in (int, float) for v in column) for column in columns)
-        and len({len(column) for column in columns}) == 1
-    )
+        read = _TimelineDocument.model_validate(document)
+        return Timeline(joints=read.joints, angle=np.array(read.angle).T)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise PuddleError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    except ValueError as error:
+        raise PuddleError(f"{path}: angle: {error}") from None
 
 
 def read_calibration(path: Path) -> Calibration:

