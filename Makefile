@@ -11,7 +11,7 @@ INSTALLED_DEV := $(VENV)/.installed-dev
 export PYTHONDONTWRITEBYTECODE :=
 
 PRESET ?= laptop
-MINUTES ?= 60
+MINUTES ?= 5
 EXTRAS ?=
 TORCH ?= cpu
 TORCH_INDEX ?=
@@ -69,7 +69,7 @@ test: $(INSTALLED_DEV) ## check style, format, types and layers, and run the tes
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 5 --durations-min 10
 
-torture: $(INSTALLED_DEV) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=60)
+torture: $(INSTALLED_DEV) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=5 for each test)
 	$(VENV)/bin/python -m pytest tests/torture --torture --minutes $(MINUTES)
 
 lint: $(INSTALLED_DEV) ## check style, format, types and layers alone

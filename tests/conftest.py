@@ -1,9 +1,7 @@
 """Shared by all tests: temporary folders in memory, one Ray cluster per session, a robot, and the torture options.
 
 A torture test takes the fixture ``torture`` and loops over ``torture.attempts(small, large)``: a small number of
-attempts in `make test`, a large one with ``--torture`` (`make torture`), where ``--minutes`` bounds the whole run. Each
-attempt has its own generator, seeded by ``--seed``, the test and the attempt's number, so that every failure can be
-reproduced with the seed that the table at the end shows.
+attempts in `make test`, a large one with ``--torture`` (`make torture`), where ``--minutes`` bounds each test.
 """
 
 import gc
@@ -12,8 +10,8 @@ import secrets
 import shutil
 import time
 import zlib
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -152,99 +150,44 @@ def crane() -> Designs:
 # -- torture ---------------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class Row:
-    """A test in the table at the end."""
-
-    name: str
-    attempt: int = -1
-    """Number of the current or last attempt."""
-    n_planned: int = 0
-    notes: list[str] = field(default_factory=list)
-    seconds: float = 0.0
-    outcome: str = "interrupted"
-
-
-@dataclass
-class Session:
-    """The torture options and records of one pytest session."""
-
-    large: bool
-    seed: int
-    end: float
-    """Time at which the session should end, on the monotonic clock [s]."""
-    shares_left: float = 0.0
-    """Shares of the tests that have not ended."""
-    rows: dict[str, Row] = field(default_factory=dict)
-
-
-_SESSION = pytest.StashKey[Session]()
-_ROW = "torture"
-_SHOWN: dict[str, Row] = {}
-"""Rows of the table at the end, by the name of the test."""
-
-
 class Torture:
-    """The number of attempts of a test, their random generators, and its notes for the table."""
+    """The attempts of a torture test and their random generators; a failure shows how to repeat it."""
 
-    def __init__(self, session: Session, row: Row, share: float) -> None:
-        self.large, self.seed = session.large, session.seed
-        self._row = row
-        now = time.monotonic()
-        self._end = now + (session.end - now) * share / session.shares_left if session.large else np.inf
+    def __init__(self, config: pytest.Config, name: str) -> None:
+        self.large, self._seed, self._name = config.getoption("--torture"), config.getoption("--seed"), name
+        self._end = time.monotonic() + 60 * config.getoption("--minutes") if self.large else np.inf
+
+    def rng(self, *attempt: int) -> np.random.Generator:
+        """Return the generator of an attempt, or one of the test."""
+        return np.random.default_rng([self._seed, zlib.crc32(self._name.encode()), *attempt])
 
     def attempts(self, small: int, large: int) -> Iterator[np.random.Generator]:
-        """Yield the generator of each attempt; with --torture, stop when the share of the time is used up.
-
-        Time that the test leaves unused goes to the tests after it.
-        """
-        self._row.n_planned = large if self.large else small
-        for attempt in range(self._row.n_planned):
+        """Yield the generator of each attempt, until the time is up."""
+        for attempt in range(large if self.large else small):
             if attempt and time.monotonic() > self._end:
                 return
-            self._row.attempt = attempt
-            yield np.random.default_rng([self.seed, zlib.crc32(self._row.name.encode()), attempt])
-
-    def times(self, small: int, large: int) -> int:
-        """Return a number of attempts, which are all made regardless of the time."""
-        self._row.n_planned = large if self.large else small
-        self._row.attempt = self._row.n_planned - 1
-        return self._row.n_planned
-
-    def rng(self) -> np.random.Generator:
-        """Return a generator of the test, apart from those of its attempts."""
-        return np.random.default_rng([self.seed, zlib.crc32(self._row.name.encode())])
-
-    def note(self, words: str) -> None:
-        """Add a line to the table."""
-        self._row.notes.append(words)
+            print(f"attempt {attempt}; again: pytest --seed {self._seed}{' --torture' * self.large} '{self._name}'")
+            yield self.rng(attempt)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("torture")
     group.addoption("--torture", action="store_true", help="make many attempts in each torture test")
-    group.addoption("--minutes", type=float, default=60.0, help="time limit of --torture (default: 60)")
-    group.addoption(
-        "--seed", type=int, default=None, help="seed of the torture tests (default: a random one, which is shown)"
-    )
+    group.addoption("--minutes", type=float, default=5.0, help="time limit of each test with --torture (default: 5)")
+    group.addoption("--seed", type=int, default=secrets.randbits(32), help="seed of the torture tests")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "share(n): share of the time of --torture; the default is 1")
-    seed = getattr(config, "workerinput", {}).get("torture_seed", config.getoption("--seed"))
-    config.stash[_SESSION] = Session(
-        large=config.getoption("--torture"),
-        seed=secrets.randbits(32) if seed is None else seed,
-        end=time.monotonic() + 60 * config.getoption("--minutes"),
-    )
+def pytest_configure() -> None:
     write_to_memory()
     gc.set_threshold(20_000)  # as in pipeline/__main__.py
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_configure_node(node: Any) -> None:
-    """Give the processes of pytest-xdist the same seed."""
-    node.workerinput["torture_seed"] = node.config.stash[_SESSION].seed
+@pytest.fixture
+def torture(request: pytest.FixtureRequest) -> Torture:
+    return Torture(request.config, request.node.nodeid)
+
+
+# -- the order of tests ----------------------------------------------------------------------------------------------
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -267,66 +210,13 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     order = {file: number for number, file in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: order.get("/".join(item.path.parts[-2:]), len(order)))
-    session = config.stash[_SESSION]
-    tests = [item for item in items if "torture" in getattr(item, "fixturenames", ())]
-    session.shares_left = sum(map(_share, tests))
-    if session.large:
-        items.sort(key=_share)  # long tests use the time that short ones leave
-        for item in tests:
-            item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 300))
+    for item in items if config.getoption("--torture") else ():
+        item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 600))
 
 
-def _share(item: pytest.Item) -> float:
-    marker = item.get_closest_marker("share")
-    return float(marker.args[0]) if marker else 1.0
-
-
-@pytest.fixture
-def torture(request: pytest.FixtureRequest) -> Iterator[Torture]:
-    session = request.config.stash[_SESSION]
-    row = session.rows.setdefault(request.node.nodeid, Row(request.node.nodeid))
-    start, share = time.monotonic(), _share(request.node)
-    yield Torture(session, row, share)
-    row.seconds = time.monotonic() - start
-    session.shares_left -= share
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
-    report = yield
-    session = item.config.stash[_SESSION]
-    row = session.rows.get(item.nodeid)
-    if row is not None and report.when == "call":
-        row.outcome = report.outcome
-        if report.failed:
-            again = f"--seed {session.seed}{' --torture' if session.large else ''}"
-            report.sections.append(("torture", f"attempt {row.attempt} (from 0); again: pytest {again} '{row.name}'"))
-        if report.skipped and isinstance(report.longrepr, tuple):
-            row.attempt = -1
-            row.notes.append(report.longrepr[2].removeprefix("Skipped: "))
-    if row is not None and report.when == "teardown":
-        report.user_properties.append((_ROW, asdict(row)))
-    return report
-
-
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Collect a row, possibly from another process."""
-    for name, row in report.user_properties:
-        if name == _ROW:
-            _SHOWN[row["name"]] = Row(**row)
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    session = config.stash[_SESSION]
-    if not _SHOWN:
-        return
-    terminalreporter.section(f"torture, seed {session.seed}")
-    for row in _SHOWN.values():
-        file, _, test = row.name.partition("::")
-        n_tried = row.attempt + 1
-        tried = f"{n_tried:,}" if n_tried >= row.n_planned else f"{n_tried:,} of {row.n_planned:,}"
-        outcome = "time was up" if row.outcome == "passed" and n_tried < row.n_planned else row.outcome
-        what = f"{file.rpartition('/')[2].removeprefix('test_').removesuffix('.py')}: {test.removeprefix('test_')}"
-        terminalreporter.line(f"{what.replace('_', ' '):<84} {tried:>15} {row.seconds:6.0f} s  {outcome}")
-        for note in row.notes:
-            terminalreporter.line(f"    {note}")
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name, in the last line, what was skipped for want of a program or a privilege."""
+    reasons = Counter(str(report.longrepr[2]) for report in terminalreporter.stats.get("skipped", []))
+    lacking = {reason.removeprefix("Skipped: "): n for reason, n in reasons.items() if "--torture" not in reason}
+    if lacking:
+        terminalreporter.line("skipped: " + "; ".join(f"{n} ({reason})" for reason, n in lacking.items()))

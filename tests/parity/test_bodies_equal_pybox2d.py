@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 
-from tasks.design import Morphology, kinematic_trees, random_designs, rigid_bodies
-from tasks.simulation import batch, reference
+from tasks.design import Morphology, random_designs
+from tasks.simulation import batch
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column
-from tasks.simulation.controller import Controllers
-from tasks.simulation.rigid_bodies import broad_phase, engine, layout, polygons
+from tasks.simulation.rigid_bodies import broad_phase, layout, polygons
 from tasks.simulation.simd.rotation import NEAR
 from tasks.simulation.trees import packing
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
@@ -51,12 +50,6 @@ def test_robots_that_can_be_built(environment: Environment, same_libm: None, see
     assert (motion.final != through_one_another.final).any()  # links did collide
 
 
-@pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(2.0)], ids=str)
-def test_the_length_of_a_study_of_the_robot_that_was_built(environment, same_libm: None, seed: int) -> None:
-    designs = random_designs(4, np.random.default_rng(seed), morphology=BUILDABLE)
-    assert_equal(designs, environment, AS_BUILT, n_settle=20, n_measure=5980)
-
-
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
 @pytest.mark.parametrize("depth", [0.0, 2.0])
 def test_motors_far_beyond_the_paper_s_range(kind, depth: float, variant, same_libm: None, seed: int) -> None:
@@ -70,13 +63,6 @@ def test_motors_far_beyond_the_paper_s_range(kind, depth: float, variant, same_l
 def test_physics_of_all_other_constants(environment, variant, same_libm: None, seed: int) -> None:
     designs, physics = random_designs(9, np.random.default_rng(seed)), Physics(**variant, **OTHER_CONSTANTS)
     assert_equal(designs, environment, physics, n_settle=20, n_measure=380)
-
-
-@pytest.mark.parametrize("n_actuated", range(6))
-def test_every_number_of_motors(n_actuated: int, same_libm: None, seed: int) -> None:
-    designs = random_designs(9, np.random.default_rng(seed), morphology=Morphology(n_actuated=n_actuated))
-    assert (designs.motor_on[:, 1:].sum(axis=1) == n_actuated).all()
-    assert_equal(designs, TrueSlush(0.5), AS_BUILT, n_settle=20, n_measure=180)
 
 
 def test_every_tree(same_libm: None, seed: int) -> None:
@@ -180,19 +166,6 @@ def test_the_ground_s_top_is_always_the_face_that_touches(seed: int) -> None:
         below = transform(0.0, -depth - GROUND_HALF_HEIGHT, 0.0)
         found.append(assert_same_manifold(ground, below, link, at, on_ground=True))
     assert np.bincount(found, minlength=3).min() > 30
-
-
-def test_masses_are_those_of_b2_body(seed: int) -> None:
-    physics = Physics(passive_joints="locked", link_density=1.7)
-    designs = random_designs(40, np.random.default_rng(seed))
-    trees, rigid = kinematic_trees(designs, density=1.7), rigid_bodies(designs, passive_joints="locked")
-    packed = engine.Robots(designs, 0.0, physics, n_members=1).records
-    for design in range(len(designs)):
-        bodies = reference._Robot(trees, rigid, design, Controllers.of(designs), 0.0, physics).bodies
-        for number, body in enumerate(bodies):
-            ours = packed[design].bodies[number]
-            assert (ours.local_center_x, ours.local_center_y) == tuple(body.localCenter)
-            assert ours.inv_mass == np.float32(1) / np.float32(body.mass)
 
 
 @pytest.mark.parametrize(

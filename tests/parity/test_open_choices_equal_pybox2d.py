@@ -6,14 +6,14 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, assert_equal, networks, wild
+from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, assert_equal, wild
 
 from tasks.design import Designs, random_designs
 from tasks.simulation import batch
 from tasks.simulation.box2d import ANGULAR_SLOP, Column
 from tasks.simulation.controller import Controllers
 from tasks.simulation.simd.lanes import widest
-from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
 
 LIMITED: dict[str, Any] = {"joint_limits": "range_of_motion"}
 PHYSICS: dict[str, dict[str, Any]] = {
@@ -82,14 +82,6 @@ def test_limits_against_motors_far_beyond_the_paper_s_range(
     designs = replace(designs, motion_range=np.maximum(designs.motion_range, LEAST_AMPLITUDE))
     physics = Physics(**LIMITED, **constants, link_collisions=collide)
     assert_equal(designs, TrueSlush(0.3), physics, n_settle=50, n_measure=450)
-
-
-@pytest.mark.parametrize("trace", [True, False])
-def test_limits_in_the_medium_of_networks(trace: bool, collide: bool, same_libm: None, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    designs, environment = random_designs(9, rng), ResidualSlush(0.7, networks(rng))
-    physics = Physics(**LIMITED, motors_while_settling=False, link_collisions=collide)
-    assert_equal(designs, environment, physics, n_settle=30, n_measure=170, trace=trace)
 
 
 def joint_angles(designs: Designs, trace: np.ndarray) -> np.ndarray:

@@ -85,26 +85,6 @@ def test_a_link_floats_with_four_fifths_submerged() -> None:
     np.testing.assert_array_equal(states[:, ANGLE].astype(np.float32), angle)  # there is no buoyant torque
 
 
-def test_an_upright_link_at_its_floating_depth_stays() -> None:
-    # A link of 2 m, 1.6 m are below the surface: the centre is at -0.6 m.
-    states = run(ReferenceFreeLinks(np.array([2.0]), Physics()), at_rest(1, y=-0.6), Slush(), 600)
-    # Rounding unbalances weight and buoyancy by a few parts of 2^-24, and the water line pushes back: a bob no larger
-    # than some roundings of y over the stiffness of a step, (ω dt)² with ω² = ρ g w = 6.1 /s².
-    assert np.abs(states[:, 0, Y] + 0.6).max() < 4 * EPS32 / (6.1 * DT**2)
-
-
-def test_a_step_depends_on_the_given_state_alone() -> None:
-    rng = np.random.default_rng(21)
-    lengths = rng.uniform(1, 3, 40)
-    state = rng.uniform([0, -6, 0, -20, -20, -20], [0.2, 6, 2 * np.pi, 20, 20, 20], (40, 6)).astype(np.float32)
-    links = ReferenceFreeLinks(lengths, Physics())
-    first = links.step(state, Slush())
-    links.step(-state, Slush())  # something else in between
-    np.testing.assert_array_equal(links.step(state, Slush()), first)
-    alone = ReferenceFreeLinks(lengths[7:8], Physics()).step(state[7:8], Slush())
-    np.testing.assert_array_equal(alone, first[7:8])
-
-
 @pytest.mark.parametrize("medium_of", [lambda: TrueSlush(0.0).medium, lambda: Slush(density=3.0, linear_drag=2.0)])
 def test_the_residual_of_a_step_is_the_mediums_velocity_change(medium_of: Callable[[], Medium]) -> None:
     rng = np.random.default_rng(22)

@@ -82,16 +82,6 @@ def test_a_locked_robot_falls_as_one(buildable: Designs) -> None:
     np.testing.assert_allclose(trace[..., X], np.broadcast_to(trees.x[:, None], trace.shape[:3]), atol=2 * EPS32 * 15)
 
 
-def test_links_of_a_body_keep_their_places_whatever_happens(buildable: Designs) -> None:
-    trace = trace_of(locked(buildable), TrueSlush(1.0), 300, BUILT)
-    across = trace[..., X : Y + 1] - trace[:, :, :1, X : Y + 1]
-    distance = np.hypot(across[..., 0], across[..., 1])
-    # Positions are within 30 m and carry a few roundings each.
-    assert np.ptp(distance, axis=1).max() < 8 * EPS32 * 30
-    assert np.ptp(trace[..., ANGLE] - trace[:, :, :1, ANGLE], axis=1).max() < 4 * EPS32 * 20
-    assert np.ptp(trace[..., ANGLE], axis=1).max() > 0.5  # they do tumble
-
-
 def test_a_fused_body_floats_where_its_weight_and_its_moments_balance(buildable: Designs) -> None:
     # Drag vanishes with speed, so a robot keeps bobbing, ever less. Take the means over its last ten seconds.
     n_steps = 4800
@@ -139,18 +129,6 @@ def test_unjoined_links_do_not_pass_through_each_other(collisions: bool) -> None
         assert deepest < SKINS + 0.05  # they did collide
     else:
         assert deepest < -0.3  # link 0 is a third of a metre thick, so link 2 passed through
-
-
-def test_buildable_robots_do_not_interpenetrate(buildable: Designs) -> None:
-    trace = trace_of(buildable, TrueSlush(2.0), 1200, BUILT)
-    unjoined = gaps(buildable, trace, joined=False)
-    # Three position iterations leave a little overlap after an impact or while motors squeeze links together.
-    fastest = np.abs(trace[..., VX : VY + 1]).max() + np.abs(trace[..., OMEGA]).max() * 1.5
-    assert np.nanmin(unjoined) > -fastest * DT
-    assert np.nanquantile(unjoined, 1e-3) > -SKINS
-    # Without collisions the links of the same robots do overlap.
-    through = trace_of(buildable, TrueSlush(2.0), 1200, BUILT.model_copy(update={"link_collisions": False}))
-    assert np.nanmin(gaps(buildable, through, joined=False)) < -0.2
 
 
 def test_joined_links_do_not_collide() -> None:

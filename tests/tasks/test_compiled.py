@@ -5,13 +5,11 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import numba
 import pytest
 
-from tasks import compiled as compilation
 from tasks.compiled import _warn, compiled, dependencies, fingerprint
 from tasks.design import genes
 from tasks.simulation import box2d
@@ -90,15 +88,6 @@ def flip(path):
     path.write_bytes(content)
 
 
-def test_who_waits_for_a_compilation_learns_which_process_compiles(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(compilation, "_WAIT_IN_SILENCE", 0.1)
-    monkeypatch.setattr(compilation, "_LONGEST_WAIT", 0.5)
-    held = compilation._locked(str(tmp_path / "doubled.lock"))
-    assert compilation._locked(str(tmp_path / "doubled.lock")) is None  # it compiles as well
-    os.close(held)
-    assert f"waiting for process {os.getpid()} on " in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     "damage",
     [flip, lambda path: path.write_bytes(path.read_bytes()[:-1]), lambda path: path.write_bytes(b"")],
@@ -116,25 +105,6 @@ def test_a_damaged_kernel_is_compiled_again(compile_and_call, damage):
     assert compile_and_call() == ("", kept)
 
 
-def test_without_a_home_kernels_are_kept_among_temporary_files(tmp_path, monkeypatch):
-    """A home that is missing below a file can't be made, like one below a folder of others."""
-    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("HOME", str(tmp_path / "file" / "home"))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    assert Path(compilation.cache_folder()).parent == tmp_path
-
-
-def test_a_kernel_that_can_be_neither_read_nor_kept_is_compiled_every_time(compile_and_call):
-    _, kept = compile_and_call()
-    kept.unlink()
-    kept.mkdir()
-    for _ in range(2):
-        said, _ = compile_and_call()
-        assert "can't be read" in said and "compiling" in said and "could not be kept" in said
-
-
 def test_processes_share_a_kernel_until_a_module_that_it_calls_is_edited(run):
     """Those that start together compile it once, and copies elsewhere take it too.
 
@@ -147,16 +117,6 @@ def test_processes_share_a_kernel_until_a_module_that_it_calls_is_edited(run):
     assert run(30) == (["60.0", "True"], 0)
     assert run(10) == (["20.0", "True"], 0)
     assert run(10, "whole") == (["20", "True"], 1)  # for other arguments it is compiled again, and says so
-
-
-def test_a_closure_is_no_kernel():
-    shift = 1.0
-
-    def shifted(block):
-        block[0] = block[0] + shift
-
-    with pytest.raises(ValueError, match=r"shifted is a closure, expected a function of a module"):
-        compiled(shifted, seconds=1)
 
 
 # -- what a kernel is compiled from ----------------------------------------------------------------------------------
@@ -205,44 +165,3 @@ def test_another_value_of_a_constant_is_another_kernel(module, constant, monkeyp
         if getattr(namespace, constant, None) is value:
             monkeypatch.setattr(namespace, constant, type(value)(2 * value))
     assert fingerprint(kernel) != before
-
-
-CALLED = """
-import json, sys
-import numpy as np
-from tasks.compiled import dependencies
-from tasks.design import random_designs
-from tasks.simulation import simulate
-from tasks.simulation.rigid_bodies import step as bodies
-from tasks.simulation.trees import step as trees
-from tasks.world import DryLand, Physics
-
-kernels = {trees.advance.__code__: set(), bodies.advance_robots.__code__: set()}
-inside = []
-
-def note(frame, event, argument):
-    if event == "call":
-        if frame.f_code in kernels:
-            inside.append(frame.f_code)
-        elif inside:
-            kernels[inside[-1]].add(frame.f_globals["__name__"])
-    elif event == "return" and inside and frame.f_code is inside[-1]:
-        inside.pop()
-
-designs = random_designs(1, np.random.default_rng(1))
-for physics in (Physics(), Physics(link_collisions=True)):
-    sys.setprofile(note)
-    simulate(designs, DryLand(0.0), physics=physics, n_settle=0, n_measure=8, engine="batch")
-    sys.setprofile(None)
-called = [sorted(name for name in names if name.startswith("tasks.")) for names in kernels.values()]
-print(json.dumps([called, [sorted(dependencies(kernel)[0]) for kernel in (trees.advance, bodies.advance_robots)]]))
-"""
-
-
-def test_what_a_kernel_calls_in_plain_python_is_among_what_it_is_compiled_from():
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
-    words = [sys.executable, "-c", CALLED]
-    done = subprocess.run(words, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    for called, found in zip(*json.loads(done.stdout), strict=True):
-        assert len(called) >= 4 and set(called) <= set(found)

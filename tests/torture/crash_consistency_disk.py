@@ -8,7 +8,6 @@ disk as it could be found after the cut.
 
 from __future__ import annotations
 
-import pickle
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -189,13 +188,10 @@ def arm(fault: dict[str, Any] | None, top: Path) -> None:
     """Reset the count of effects, and strike before effect number ``fault["at"]`` if there is a fault.
 
     ``fault["kind"]`` is die; tear, where a write stops half-way; or power, where the disk after the cut is written to
-    ``fault["image"]`` without what ``fault["loses"]`` names. The account of what is safe is passed from one process to
-    the next through the files ``fault["leaves"]`` and ``fault["takes"]``.
+    ``fault["image"]`` without what ``fault["loses"]`` names.
     """
     _state.effects, _state.fault, _state.account, _state.survey = [], fault, None, None
-    if fault and "takes" in fault:
-        _state.account = pickle.loads(Path(fault["takes"]).read_bytes())
-    elif fault and (fault["kind"] == "power" or "leaves" in fault):
+    if fault and fault["kind"] == "power":
         _state.account = Account(top)
 
 
@@ -230,8 +226,6 @@ def effects() -> list[str]:
 def strike() -> None:
     """Let the fault happen."""
     fault, account = _state.fault, _state.account
-    if fault is not None and account is not None and "leaves" in fault:
-        Path(fault["leaves"]).write_bytes(pickle.dumps(account))
     if fault is not None and account is not None and fault["kind"] == "power":
         write_image(account.image(fault["loses"], random.Random(fault.get("seed", 0))), Path(fault["image"]))
     _state.die()

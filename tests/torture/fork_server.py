@@ -14,7 +14,6 @@ import functools
 import gc
 import json
 import os
-import resource
 import sys
 import tempfile
 import traceback
@@ -204,11 +203,6 @@ def tree(root: Path) -> dict[str, str]:
 
 def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, Any]], cache: ResultCache) -> None:
     """Execute a command; record as it happens what happens in each store."""
-    if "file_bytes" in command:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (command["file_bytes"],) * 2)
-    if "without" in command:
-        fsync, of_folders = disk.fsync, command["without"] == "fsync of folders"
-        disk.fsync = lambda path: None if path.is_dir() == of_folders else fsync(path)
     for root in map(Path, command["roots"]):
         answers.append({"computed": [], "committed": [], "said": []})
         crash_consistency_disk.arm(command.get("fault"), root.parent)
@@ -227,8 +221,6 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
             answers[-1]["disks"] = survey.described
             for number, image in enumerate(survey.disks):
                 crash_consistency_disk.write_image(image, Path(command["into"]) / str(number))
-        if command.get("fault", {}).get("at") == "end":
-            crash_consistency_disk.strike()
 
 
 def collect_garbage(store: Store) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.commands.damage import damaged_items, find_damage
+from pipeline.commands.damage import find_damage
 from pipeline.store.store import Store, StudyRecord
 
 pytestmark = pytest.mark.timeout(1800)  # the machine may be busy
@@ -70,7 +70,6 @@ def resume(fork_server, undisturbed, stores: list[Path], committed: list[list[st
 def test_the_next_driver_continues_from_any_disk_that_a_fault_leaves(torture, fork_server, new_folder, part):
     if part == "analyses" and not torture.large:
         pytest.skip("with --torture")
-    n_faults = n_disks = 0
     before, last, n_items = PARTS[part]
     for rng in torture.attempts(1, 20):  # each attempt loses other data at random
         top = new_folder()
@@ -85,14 +84,9 @@ def test_the_next_driver_continues_from_any_disk_that_a_fault_leaves(torture, fo
         assert len(set(faults)) == len(faults) == (len(kinds) - ("tear" in kinds)) * len(found["effects"]) + n_torn
         stores = [top / "found" / str(number) / "store" for number in range(len(found["disks"]))]
         resume(fork_server, found, stores, [disk["committed"] for disk in found["disks"]], last=last)
-        n_faults, n_disks = n_faults + len(faults), n_disks + len(stores)
         shutil.rmtree(top)
-    torture.note(
-        f"{n_faults:,} faults, at every one of {len(found['effects'])} effects, leave {n_disks:,} distinct disks"
-    )
 
 
-@pytest.mark.share(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_process_that_dies_leaves_the_predicted_disk(torture, fork_server, undisturbed, new_folder, kind):
     """The process is real, and gone before the next one begins; `make test` tries a few random points."""
@@ -127,35 +121,6 @@ def contents(disk: Path) -> dict[str, str | None]:
     }
 
 
-@pytest.mark.share(2)
-def test_a_power_cut_loses_nothing_of_a_study_whose_first_driver_died(torture, fork_server, undisturbed, new_folder):
-    """The first driver dies at any effect, the second ends the study, then the power fails: every byte is there.
-
-    The exception is at most one work item: the one that the first driver had renamed into place but not synced when it
-    died. In small numbers the first driver dies before every fsync that follows a new folder, and at a few other
-    points.
-    """
-    effects = undisturbed["effects"]
-    critical = [at for at in range(len(effects)) if effects[at - 1 : at] == ["mkdir"]]
-    others = [at for at in torture.rng().permutation(len(effects)).tolist() if at not in critical]
-    points = critical + others
-    n_tried = 0
-    for at, _ in zip(points, torture.attempts(len(critical) + 10, len(points)), strict=False):
-        top = new_folder()
-        disk, account, image = top / "disk", str(top / "account"), str(top / "found")
-        disk.mkdir()
-        first = fork_server.drive(disk / "store", last=LAST, fault={"kind": "die", "at": at, "leaves": account})
-        fault = {"kind": "power", "at": "end", "takes": account, "loses": "all", "image": image}
-        second = fork_server.drive(disk / "store", fault=fault, inspect=False, last=LAST)
-        assert (first["status"], second["status"]) == (9, 9)
-        (answer,) = fork_server.finish([top / "found" / "store"], inspect=False, last=LAST)
-        assert len(answer["computed"]) <= 1
-        assert answer["tree"] == undisturbed["tree"]
-        shutil.rmtree(top)
-        n_tried += 1
-    assert n_tried >= len(critical) or torture.large
-
-
 # -- faults while files are removed ----------------------------------------------------------------------------------
 
 KINDS_OF_REMOVAL = {"small": ["die", "all"], "large": [kind for kind in KINDS if kind != "tear"]}
@@ -175,7 +140,6 @@ def disks_left(torture, fork_server, top: Path, **command) -> list[Path]:
         **command,
     )
     assert {"unlink", "fsync"} <= set(answer["effects"])
-    torture.note(f"{len(kinds) * len(answer['effects'])} faults leave {len(answer['disks'])} distinct disks")
     return [top / "found" / str(number) / "store" for number in range(len(answer["disks"]))]
 
 
@@ -196,7 +160,6 @@ def finished_study(fork_server, top: Path) -> Path:
 def test_a_gc_that_dies_leaves_an_intact_store(torture, fork_server, undisturbed, new_folder):
     """Nothing is damaged in whatever is left; a study that needs it again continues from there, and the next gc
     completes the removal."""
-    torture.times(1, 1)
     top = new_folder()
     root = finished_study(fork_server, top)
     everything = keys_of(root)
@@ -224,24 +187,3 @@ def test_a_gc_that_dies_leaves_an_intact_store(torture, fork_server, undisturbed
         assert sorted(after["computed"]) == sorted(everything - keys)
         halves = {name for name in after["tree"] if name.endswith(".tmp")}
         assert {name: sha256 for name, sha256 in after["tree"].items() if name not in halves} == undisturbed["tree"]
-
-
-def test_a_discard_that_dies_is_completed_by_the_next_one(torture, fork_server, undisturbed, new_folder):
-    """Damaged items are there, or partly there, or gone; nothing else is touched, and they alone are recomputed."""
-    torture.times(1, 1)
-    top = new_folder()
-    root = finished_study(fork_server, top)
-    everything = keys_of(root)
-    manifests = [path for path in sorted(root.glob("items/*/*/*/manifest.json")) if "report" not in path.parts]
-    damaged = {manifests[index].parent.name for index in torture.rng().permutation(len(manifests))[:2]}
-    for manifest in manifests:
-        if manifest.parent.name in damaged:
-            file = next(path for path in sorted(manifest.parent.iterdir()) if path != manifest)
-            file.write_bytes(file.read_bytes()[:-1] + b"?")
-    stores = disks_left(torture, fork_server, top, discard=True)
-    for store in stores:
-        assert {key for _, key in damaged_items(find_damage(Store.open(store, create=False)))} <= damaged
-        assert keys_of(store) >= everything - damaged
-    for after in fork_server.finish(stores, discard=True, last=LAST):
-        assert sorted(after["computed"]) == sorted(damaged)
-        assert after["tree"] == undisturbed["tree"]

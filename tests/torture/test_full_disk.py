@@ -1,9 +1,8 @@
-"""A full disk, a file-size limit and a read-only disk stop a study with a clear message; with room it continues."""
+"""A full disk stops a study with a clear message; with room it continues."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -102,107 +101,10 @@ def test_a_disk_of_any_size_that_fills(torture, machine, new_folder):
         finally:
             machine.unmount(disk)
     assert n_full
-    torture.note(f"{n_full} disks of 4 kB to 1.2 MB were too small; each study continued once there was room")
-
-
-def test_a_limit_on_the_size_of_files(torture, machine, new_folder):
-    n_stopped = 0
-    for rng in torture.attempts(4, 200):
-        disk = new_folder()
-        committed = []
-        if stopped(machine, disk, "File too large", file_bytes=int(rng.integers(100, 40_000))):
-            n_stopped += 1
-            committed = machine.committed(disk)
-        resumes(machine, disk, committed)
-        shutil.rmtree(disk)
-    assert n_stopped
-    torture.note(f"{n_stopped} limits stopped the study")
-
-
-def test_a_disk_that_turns_read_only(torture, machine, new_folder):
-    """A driver dies half-way, the disk turns read-only, as disks do after an error, and then becomes writable again."""
-    for rng in torture.attempts(3, 100):
-        disk = new_folder()
-        machine.mount(disk, "size=64m", "-t", "tmpfs")
-        try:
-            at = int(rng.integers(20, len(machine.undisturbed["effects"]) - 1))
-            died = machine.fork_server.drive(disk / "store", fault={"kind": "die", "at": at})
-            machine.mount(disk, "remount,ro")
-            assert stopped(machine, disk, "Read-only file system")
-            machine.mount(disk, "remount,rw")
-            resumes(machine, disk, died["committed"])
-        finally:
-            machine.unmount(disk)
-
-
-THROWS = """
-name: throws
-throws: {n_throws: 40, n_steps: 20}
-work: {throws_per_item: 1}
-"""
-TURNS = """
-import subprocess, sys
-from pipeline.store import disk
-from pipeline.commands.app import main
-
-settings, store, undisturbed, at = sys.argv[1:]
-n_effects, codes = 0, []
-
-def collect(store):
-    try:
-        main(["collect", "--workers", "0", "--settings", settings, "--store", store])
-    except SystemExit as end:
-        codes.append(end.code or 0)
-
-def turning(effect):
-    def turned(*rest):
-        global n_effects
-        if n_effects == int(at):
-            subprocess.run(["mount", "--bind", "-o", "ro", store, store], check=True)
-        n_effects += 1
-        effect(*rest)
-    return turned
-
-collect(undisturbed)
-for name in ("write", "fsync", "rename", "mkdir"):
-    setattr(disk, name, turning(getattr(disk, name)))
-collect(store)
-subprocess.run(["umount", "--lazy", store], check=True)  # MLflow may hold a connection to its database there
-collect(store)
-sys.exit(f"codes: {codes}")
-"""
-"""Run the command elsewhere, on a disk that turns read-only before some effect, and on the same disk once repaired."""
-
-
-def test_a_disk_that_turns_read_only_under_a_driver(torture, new_folder):
-    """The store's folder is mounted over itself in the driver's own namespace, which needs no privileges."""
-    (number,) = (int(rng.integers(20, 200)) for rng in torture.attempts(1, 1))
-    folder = new_folder()
-    settings, store, undisturbed = (folder / name for name in ("throws.yaml", "store", "undisturbed"))
-    settings.write_text(THROWS)
-    store.mkdir()
-    if not may_mount(store, ALONE):
-        pytest.skip("no namespace to mount a disk in")
-    ran = subprocess.run(
-        [*ALONE, sys.executable, "-c", TURNS, settings, store, undisturbed, str(number)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-    assert ran.stderr.endswith("codes: [0, 2, 0]\n"), ran.stderr
-    assert "Read-only file system" in ran.stderr and "Committed results are safe" in ran.stderr
-    assert "Traceback" not in ran.stderr
-    found, expected = (
-        {path.relative_to(root): path.read_bytes() for path in root.glob("items/*/*/*/*") if path.suffix != ".json"}
-        for root in (store, undisturbed)
-    )
-    assert len(expected) == 40 and found == expected
 
 
 def test_the_command_names_the_full_disk_and_exits_with_2(torture, machine, tmp_path):
     """The whole program, except MLflow's database and Ray."""
-    torture.times(1, 1)
     machine.mount(tmp_path, "size=16k", "-t", "tmpfs")
     try:
         done = machine.run(

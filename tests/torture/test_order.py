@@ -85,21 +85,11 @@ def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path)
             assert digests(settings, Store.open(tmp_path / str(number), create=True), cluster) == expected
             n_out_of_order += cluster.out_of_order
     assert n_out_of_order
-    torture.note(f"{n_out_of_order:,} work items overtook others")
 
 
 def cut(rng: np.random.Generator) -> Settings:
     """Split generations into batches of a random size, up to the whole population."""
     return parse(Settings, TINY, name="tiny", overrides=(f"work.designs_per_batch={rng.integers(1, 8)}",))
-
-
-def test_the_same_bytes_from_two_workers(expected, torture, local_ray, tmp_path):
-    """Without a shuffled order, tests/pipeline/workflow/test_study.py shows this in each `make test`."""
-    if not torture.large:
-        pytest.skip("only with --torture: test_study.py runs the stages on two workers, too")
-    (rng,) = torture.attempts(1, 1)
-    store = Store.open(tmp_path / "store", create=True)
-    assert digests(parse(Settings, TINY, name="tiny"), store, Shuffled(local_ray, 2, rng)) == expected
 
 
 PAPER = """

@@ -50,30 +50,6 @@ def test_the_anchors_of_every_joint_coincide_at_rest(designs: Designs) -> None:
         np.testing.assert_allclose(on_parent, on_child, rtol=0, atol=18 * 2.0**-50)
 
 
-def test_the_engines_anchors_coincide_to_single_precision(designs: Designs) -> None:
-    trees = kinematic_trees(designs, density=1.0)
-    row = np.arange(N_DESIGNS)
-    x, y, angle = (getattr(trees, name).astype(np.float64) for name in ("x", "y", "angle"))
-    for link in range(1, 6):
-        parent = trees.parent[:, link]
-        on_parent = along(x[row, parent], y[row, parent], angle[row, parent], trees.parent_anchor[:, link])
-        on_child = along(x[:, link], y[:, link], angle[:, link], trees.child_anchor[:, link])
-        # Each centre (up to 18 m) and anchor (1.5 m) is rounded once, and an angle of up to 5π moves an anchor by
-        # 1.5 m times its own rounding; on both sides of the joint.
-        np.testing.assert_allclose(on_parent, on_child, rtol=0, atol=2 * HALF_ULP * (18 + 1.5 + 5 * np.pi * 1.5))
-
-
-def test_rest_angles_add_up_along_the_tree(designs: Designs) -> None:
-    _, _, angle = rest_pose(designs)
-    for design in range(N_DESIGNS):
-        for link in range(6):
-            path, above = [], link
-            while above > 0:
-                path.append(designs.rest_angle[design, above])
-                above = designs.parent[design, above]
-            assert angle[design, link] == pytest.approx(sum(path), abs=1e-14 * 6)
-
-
 def test_the_root_is_upright_at_the_origin_of_x_and_the_lowest_corner_at_zero(designs: Designs) -> None:
     trees = kinematic_trees(designs, density=1.0)
     assert (trees.x[:, 0] == 0).all()
@@ -93,24 +69,6 @@ def test_every_link_is_a_square_metre_of_one_kilogram(designs: Designs) -> None:
     np.testing.assert_allclose(trees.mass, 1.0, rtol=HALF_ULP)
     a = designs.length_scale
     np.testing.assert_allclose(trees.inertia, (1 / a**2 + a**2) / 12, rtol=2 * HALF_ULP)
-
-
-def test_mass_and_inertia_grow_with_density(designs: Designs) -> None:
-    light, heavy = (kinematic_trees(designs, density=density) for density in (1.0, 3.0))
-    np.testing.assert_allclose(heavy.mass, 3.0 * light.mass, rtol=4 * HALF_ULP)
-    np.testing.assert_allclose(heavy.inertia, 3.0 * light.inertia, rtol=4 * HALF_ULP)
-
-
-def test_values_are_rounded_once_to_single_precision(designs: Designs) -> None:
-    trees = kinematic_trees(designs, density=1.0)
-    for name in ("half_width", "half_height", "mass", "inertia", "parent_anchor", "child_anchor", "x", "y", "angle"):
-        assert getattr(trees, name).dtype == np.float32, name
-        assert getattr(trees, name).shape == (N_DESIGNS, 6), name
-    x, _, angle = rest_pose(designs)
-    np.testing.assert_array_equal(trees.x, x.astype(np.float32))
-    np.testing.assert_array_equal(trees.angle, angle.astype(np.float32))
-    assert (trees.parent_anchor[:, 0] == 0).all()
-    assert (trees.child_anchor[:, 0] == 0).all()
 
 
 def test_the_root_may_begin_at_the_surface(designs: Designs) -> None:
@@ -245,22 +203,3 @@ def test_a_bent_pair_of_links_has_the_inertia_that_steiner_gives_it() -> None:
         "mass_over_inertia": [1 / body] * 2,
     }.items():
         np.testing.assert_allclose(getattr(rigid, name)[0, :2], expected, rtol=HALF_ULP, atol=2 * HALF_ULP)
-
-
-def test_shares_of_mass_and_inertia_keep_the_parallel_axis_theorem(designs: Designs) -> None:
-    built = random_motors(designs, np.random.default_rng(11), 2)
-    rigid = rigid_bodies(built, passive_joints="locked")
-    of = {name: getattr(rigid, name).astype(np.float64) for name in ("mass_share", "lever_x", "lever_y")}
-    squared = of["lever_x"] ** 2 + of["lever_y"] ** 2
-    parts = {
-        "mass": of["mass_share"],
-        "first moment, x": of["mass_share"] * of["lever_x"],
-        "first moment, y": of["mass_share"] * of["lever_y"],
-        "inertia": rigid.inertia_share + rigid.mass_over_inertia * squared,
-    }
-    for name, expected in (("mass", 1), ("first moment, x", 0), ("first moment, y", 0), ("inertia", 1)):
-        for first in range(6):
-            here = (rigid.first_link == first) & rigid.is_first[:, first, None]
-            total = np.where(here, parts[name], 0).sum(axis=1)[here.any(axis=1)]
-            # Six parts of at most 18 m, each of a few factors that are rounded once.
-            np.testing.assert_allclose(total, expected, rtol=0, atol=6 * 4 * 18 * HALF_ULP, err_msg=name)

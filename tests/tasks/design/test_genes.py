@@ -1,6 +1,5 @@
 """The table of genes, designs as arrays, and the refusals of designs that are not valid."""
 
-import copy
 import re
 from dataclasses import replace
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 from tasks.design import GENES, N_LINKS, DesignError, Designs, check, concatenate, random_designs
-from tasks.design.genes import COLUMNS, N_COLUMNS, N_GENES, Gene
+from tasks.design.genes import COLUMNS, N_COLUMNS, Gene
 
 
 @pytest.fixture
@@ -36,11 +35,6 @@ def test_the_bounds_are_the_papers() -> None:
     }
 
 
-def test_thirty_seven_numbers_describe_a_design() -> None:
-    # Six lengths, one frequency, and for each of five joints two attachments, a rest angle, a phase, a range, a flag.
-    assert N_GENES == 6 + 1 + 5 * 6 == 37
-
-
 def test_angles_wrap_flags_flip_the_rest_is_clipped() -> None:
     kinds = {gene.name: gene.kind for gene in GENES if gene.kind != "interval"}
     assert kinds == {"rest_angle": "angle", "phase": "angle", "motor_on": "flag"}
@@ -51,25 +45,6 @@ def test_angles_wrap_flags_flip_the_rest_is_clipped() -> None:
 def test_a_wrong_shape_is_refused_by_name(designs: Designs, name: str, shape: tuple[int, ...]) -> None:
     with pytest.raises(DesignError, match=re.escape(f"{name} has shape {shape}, expected (n_designs, 6)")):
         replace(designs, **{name: np.zeros(shape)})
-
-
-@pytest.mark.parametrize("shape", [(), (5, 1)])
-def test_a_frequency_that_is_not_one_per_design_is_refused(designs: Designs, shape: tuple[int, ...]) -> None:
-    with pytest.raises(DesignError, match=re.escape(f"frequency has shape {shape}")):
-        replace(designs, frequency=np.zeros(shape))
-
-
-def test_lists_become_arrays_of_the_field_types(designs: Designs) -> None:
-    from_lists = Designs(**{name: array.tolist() for name, array in designs.arrays()})
-    assert from_lists.equals(designs)
-    assert from_lists.parent.dtype == np.int64
-    assert from_lists.motor_on.dtype == np.bool_
-    assert from_lists.phase.dtype == np.float64
-
-
-def test_designs_travel_through_a_mapping_that_holds_more(designs: Designs) -> None:
-    arrays = {"fitness": np.zeros(5), **dict(designs.arrays())}
-    assert Designs.from_arrays(arrays).equals(designs)
 
 
 @pytest.mark.parametrize("name", list(Designs.__dataclass_fields__))
@@ -116,12 +91,6 @@ def test_a_gene_out_of_bounds_is_named(designs: Designs, gene: Gene, fault: str)
     assert str(refused.value) == f"design 3: {gene.name}{where} is {value}, {expected}"
 
 
-@pytest.mark.parametrize("gene", NUMBERS, ids=lambda gene: gene.name)
-def test_bounds_belong_to_the_range(designs: Designs, gene: Gene) -> None:
-    for bound in (gene.low, gene.high):
-        check(with_value(designs, gene.name, 2, bound))
-
-
 @pytest.mark.parametrize(
     ("link", "parent", "expected"),
     [
@@ -152,30 +121,6 @@ def test_a_table_holds_designs_exactly_and_can_not_be_made_untrue(designs: Desig
         restored.table[0] = 0
 
 
-def test_designs_of_a_table_have_the_fields_of_designs_and_no_others(designs: Designs) -> None:
-    restored = copy.copy(Designs.from_table(designs.table.copy()))
-    with pytest.raises(AttributeError, match="'Designs' object has no attribute 'fequency'"):
-        _ = restored.fequency  # type: ignore[attr-defined]  # mypy sees the slip too
-    with pytest.raises(ValueError, match="read-only"):
-        Designs.from_table(designs.table.copy()).parent[0, 1] = 0
-    assert restored.equals(designs)
-
-
-@pytest.mark.parametrize(("name", "expected"), [("parent", "a link before it, 0 to 2"), ("motor_on", "0 or 1")])
-def test_a_fraction_in_a_table_where_whole_numbers_belong_is_named(designs: Designs, name: str, expected: str) -> None:
-    table = designs.table.copy()
-    table[4, COLUMNS[name].start + 3] = 0.5
-    with pytest.raises(DesignError) as refused:
-        check(Designs.from_table(table))
-    assert str(refused.value) == f"design 4: {name} of link 3 is 0.5, expected {expected}"
-
-
-def test_the_first_of_several_bad_designs_is_named(designs: Designs) -> None:
-    bad = with_value(with_value(designs, "phase", (4, 1), np.nan), "phase", (1, 5), 7.0)
-    with pytest.raises(DesignError, match=r"design 1: phase of link 5 is 7\.0"):
-        check(bad)
-
-
 @pytest.mark.parametrize(("name", "value"), [("parent", 1.5), ("motor_on", 0.5)])
 def test_a_value_that_its_type_would_change_is_refused_by_name(name, value):
     arrays = dict(random_designs(2, np.random.default_rng(0)).arrays())
@@ -183,9 +128,3 @@ def test_a_value_that_its_type_would_change_is_refused_by_name(name, value):
     arrays[name][1, 3] = value
     with pytest.raises(DesignError, match=f"{name}: expected values of type"):
         Designs(**arrays)
-
-
-def test_a_gene_of_the_whole_design_is_one_of_its_root() -> None:
-    Gene("girth", "body", "interval", 0.5, 2.0, "m", of_root=True, per_link=False)
-    with pytest.raises(ValueError, match="of_root=True"):
-        Gene("girth", "body", "interval", 0.5, 2.0, "m", of_root=False, per_link=False)

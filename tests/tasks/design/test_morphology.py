@@ -70,16 +70,6 @@ def test_gaits_are_apart_where_a_polygon_clipper_finds_no_common_area_at_any_ins
         assert apart == (overlap == 0) or overlap < 1e-12
 
 
-def test_the_speed_of_a_joint_is_the_greatest_slope_of_its_target() -> None:
-    designs = random_designs(20, np.random.default_rng(1))
-    time = np.linspace(0, 30, 30_001)[:, None, None]  # [s]
-    angle = designs.motion_range * np.sin(2 * np.pi * designs.frequency[:, None] * time + designs.phase)
-    slope = np.abs(np.diff(angle, axis=0) / np.diff(time, axis=0)).max(axis=0)
-    turns = designs.frequency > 0.05  # the others do not finish a period
-    expected = np.where(designs.motor_on, slope, 0.0)
-    np.testing.assert_allclose(joint_speed(designs)[turns], expected[turns], rtol=1e-4)
-
-
 def test_a_limit_of_joints_allows_slower_gaits_alone() -> None:
     designs = random_designs(200, np.random.default_rng(2))
     allowed = Morphology(max_joint_speed=1.0).allows(designs)
@@ -103,33 +93,6 @@ def upright_columns(gap: float) -> Designs:
         child_attachment=np.array([[0, 0, 0, -1, -1, -1]]),
         rest_angle=np.array([[0, np.pi / 2, -np.pi / 2, 0, 0, 0]]),
     )
-
-
-@pytest.mark.parametrize(("gap", "apart"), [(0.1, True), (1e-6, True), (0.0, True), (-1e-6, False), (-0.1, False)])
-def test_links_that_touch_do_not_overlap(gap: float, apart: bool) -> None:
-    design = upright_columns(gap)
-    x, _, _ = rest_pose(design)
-    assert x[0, 2] - x[0, 0] == pytest.approx(1 + gap, abs=1e-12)
-    # Links 3, 4, 5 stand on top of 2 and miss the cross-bar, which is a third of a metre thick.
-    assert links_apart(design)[0] == apart
-
-
-def test_draws_go_on_until_every_design_is_apart() -> None:
-    good, bad = upright_columns(0.1), upright_columns(-0.1)
-    asked = np.zeros(3, dtype=np.int64)
-    succeeds_at = np.array([1, 5, 40])
-
-    def draw(which: np.ndarray) -> np.ndarray:
-        numbers = np.empty(len(which), dtype=np.int64)
-        for place, index in enumerate(which):
-            asked[index] += 1
-            numbers[place] = asked[index]
-        ok = numbers >= succeeds_at[which]
-        return np.where(ok[:, None], good.table, bad.table)
-
-    drawn = sample_allowed(draw(np.arange(3)), draw, APART)
-    assert links_apart(drawn.designs).all()
-    assert drawn.n_draws.tolist() == [1, 5, 40]
 
 
 def test_draws_end() -> None:

@@ -1,6 +1,5 @@
 """Trials give the bits that they gave before, with the compiler and without it."""
 
-import copy
 import hashlib
 import os
 import subprocess
@@ -9,12 +8,9 @@ import sys
 import numba
 import numpy as np
 import pytest
-from safetensors.numpy import load as decode
-from safetensors.numpy import save as encode
 
 from tasks.design import Morphology, random_designs
-from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
-from tasks.evolution import EMPTY_POPULATION, Afpo, Population, ask, tell
+from tasks.evolution import EMPTY_POPULATION, Afpo, ask, tell
 from tasks.seeding import generator
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
@@ -68,16 +64,3 @@ print(*(evolved(kind, 4) for kind in {kinds}))
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
     assert done.stdout.split() == [evolved(kind, 4) for kind in kinds], done.stderr
-
-
-@compiled_only
-def test_operators_are_compiled_once_whatever_a_population_was_restored_from() -> None:
-    """A second compilation would take as long as the first, without a message."""
-    for body in None, random_designs(3, np.random.default_rng(4))[[1]]:
-        population, rng, small = EMPTY_POPULATION, np.random.default_rng(5), Afpo(population_size=6)
-        for _ in range(2):
-            restored = Population.from_arrays(decode(encode(population.arrays())))
-            for parents in population, restored, copy.deepcopy(population):
-                children = ask(parents, rng, small, body=body)
-                population = tell(parents, children, np.arange(6.0), rng, small)
-    assert [len(kernel.signatures) for kernel in (random_kernel, mutate_kernel, recombine_kernel)] == [1, 1, 1]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tasks.residual import Architecture, Training
-from tasks.residual.descent import Descent, _drops
+from tasks.residual.descent import Descent
 from tasks.residual.descent_kernel import CHUNK
 from tasks.residual.hyperparameters import learning_rate
 from tasks.residual.network import initial_weights
@@ -80,22 +80,6 @@ def test_dropped_units_neither_act_nor_learn(dropout):
         assert abs(got[name] - array).max() < 1e-5 * abs(array).max(), name
 
 
-@pytest.mark.parametrize("p", [0.001, 0.1, 0.9])
-def test_a_share_p_of_the_units_is_dropped_independently(p):
-    n_iterations, n_units = 4, 256_000
-    dropped, first = _drops(np.random.default_rng(0), p, n_iterations, n_units)
-    assert first[0] == 0 and first[-1] == len(dropped)
-    variance = n_units * p * (1 - p)
-    for i in range(n_iterations):
-        own = dropped[first[i] : first[i + 1]]
-        assert (np.diff(own) > 0).all() and own[0] >= 0 and own[-1] < n_units
-        assert len(own) == pytest.approx(n_units * p, abs=5 * variance**0.5)
-    # Independent: a unit and the next are both dropped p² of the time.
-    n = n_iterations * n_units
-    both = int((np.diff(dropped) == 1).sum())
-    assert both == pytest.approx(n * p * p, abs=5 * max((n * p * p) ** 0.5, 2 * p * (4 * variance) ** 0.5) + 1)
-
-
 def test_updates_are_those_of_adamw():
     """Loshchilov and Hutter, Decoupled Weight Decay Regularization, algorithm 2, with each iteration's gradient."""
     training = Training(loss="mse", batch_size=64, n_iterations=10, weight_decay=0.1, learning_rate=0.1)
@@ -112,35 +96,6 @@ def test_updates_are_those_of_adamw():
         expected -= learning_rate(training, t - 1) * (0.1 * expected + step)
         # some roundings of numbers below 1 in each of t updates, of at most 0.1 each
         np.testing.assert_allclose(memory.parameters, expected, atol=t * 2e-6)
-
-
-def test_minibatches_are_drawn_with_replacement():
-    """Two rows to learn from, and a learning rate that changes nothing: a loss says how often each row was drawn."""
-    still = {"learning_rate": 1e-30, "min_learning_rate": 1e-30, "loss": "mse", "weight_decay": 0.0}
-    weights = initial_weights(Architecture(hidden_layers=1, width=4), np.random.default_rng(0))
-    rows = (10 * np.random.default_rng(1).normal(size=(2, 12))).astype(np.float32)
-
-    def losses(batch_size, n_iterations):
-        training = Training(batch_size=batch_size, n_iterations=n_iterations, **still)
-        return Descent(weights, rows, 0.0, training, np.random.default_rng(2)).advance(n_iterations)
-
-    single = losses(1, 50)
-    low, high = single.min(), single.max()
-    assert high > 1.01 * low
-    assert ((np.abs(single - low) < 1e-5 * high) | (np.abs(single - high) < 1e-5 * high)).all()
-    # The share of one row in a batch of 64 is binomial: a deviation of (1/4 / 64)^½ of the losses' difference. Of 500
-    # batches the deviation is known to 1 / (2 · 500)^½ = 3 %.
-    spread = losses(64, 500).std() / (high - low)
-    assert spread == pytest.approx(1 / 16, rel=5 * 0.032)
-
-
-def test_many_iterations_in_one_call_are_those_of_many_calls():
-    whole, _, _ = descent(MSE, dropout=0.0)
-    parts, _, _ = descent(MSE, dropout=0.0)
-    losses = whole.advance(12)
-    assert (np.concatenate([parts.advance(n) for n in (1, 4, 7)]) == losses).all()
-    for name, array in whole.weights().items():
-        assert (array == parts.weights()[name]).all()
 
 
 def digest():

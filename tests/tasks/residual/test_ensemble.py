@@ -1,13 +1,11 @@
 import numpy as np
 import pytest
 
-from tasks.design import random_designs
 from tasks.residual import Architecture, Training
 from tasks.residual.ensemble import Ensemble, WeightsError
 from tasks.residual.network import Standardisation, initial_weights
 from tasks.residual.torch_descent import TorchDescent
-from tasks.simulation import simulate
-from tasks.world import LinkStates, Physics, ResidualSlush
+from tasks.world import LinkStates, Physics
 
 PHYSICS = Physics()
 N_MEMBERS = 3
@@ -75,17 +73,6 @@ def test_a_row_does_not_depend_on_the_rows_beside_it(hidden_layers, width):
         assert (Ensemble.from_members([arrays[k]]).predict(x[k : k + 1]) == whole[k : k + 1]).all()
 
 
-def test_a_row_that_is_not_finite_spoils_itself_alone(ensemble):
-    x = observations(200)
-    clean = ensemble.predict(x)
-    x[0, 17, 3], x[1, 0, 4], x[2, 130, 1] = np.nan, np.inf, 3e38
-    got = ensemble.predict(x)
-    spoiled = np.zeros((N_MEMBERS, 200), bool)
-    spoiled[0, 17] = spoiled[1, 0] = spoiled[2, 130] = True
-    assert (got[~spoiled] == clean[~spoiled]).all()
-    assert np.isnan(got[0, 17]).all()
-
-
 def test_velocity_change_reads_the_links_in_order(ensemble):
     state = links((N_MEMBERS, 5, 6))
     change = ensemble.velocity_change(state, PHYSICS)
@@ -95,31 +82,6 @@ def test_velocity_change_reads_the_links_in_order(ensemble):
         got = getattr(change, name)
         assert got.shape == (N_MEMBERS, 5, 6) and got.dtype == np.float32
         assert (got == expected[..., i]).all()
-
-
-def test_absurd_states_raise_nothing(ensemble):
-    state = LinkStates(*(np.array([[1e300], [np.nan], [-np.inf]]) for _ in range(9)))
-    change = ensemble.velocity_change(state, PHYSICS)
-    assert change.vx.dtype == np.float64 and not np.isfinite(change.vx).any()
-
-
-@pytest.mark.parametrize("shape", [(), (1, 4, 6), (N_MEMBERS + 1, 4, 6)])
-def test_links_of_another_number_of_members_are_refused(ensemble, shape):
-    with pytest.raises(ValueError, match=r"links of shape \(.*\), expected \(3 members, \.\.\.\)"):
-        ensemble.velocity_change(links(shape), PHYSICS)
-
-
-def test_robots_in_residual_slush_do_not_depend_on_their_batch_or_on_other_members(ensemble):
-    designs = random_designs(8, np.random.default_rng(11))
-    settle_and_measure = {"n_settle": 5, "n_measure": 20, "engine": "reference", "trace": True}
-    whole = simulate(designs, ResidualSlush(depth=2.0, ensemble=ensemble), **settle_and_measure)
-    assert whole.displacement.shape == (N_MEMBERS, 8)
-    assert len(set(whole.displacement[:, 0])) == N_MEMBERS
-    for k, arrays in enumerate(members(ARCHITECTURE)[1]):
-        member = Ensemble.from_members([arrays])
-        alone = simulate(designs[5:8], ResidualSlush(depth=2.0, ensemble=member), **settle_and_measure)
-        assert (alone.displacement[0] == whole.displacement[k, 5:8]).all()
-        assert (alone.trace[0] == whole.trace[k, 5:8]).all()
 
 
 def spoil(arrays, name, change):
@@ -149,17 +111,6 @@ def test_damaged_members_are_refused_by_name(name, change, message):
     arrays = members(Architecture(hidden_layers=2, width=4), n_members=2)[1]
     with pytest.raises(WeightsError, match=message):
         Ensemble.from_members(spoil(arrays, name, change))
-
-
-def test_members_that_are_incomplete_or_differ_are_refused():
-    small, large = (members(Architecture(hidden_layers=2, width=w), n_members=1)[1][0] for w in (4, 5))
-    with pytest.raises(WeightsError, match="member 1 has layers"):
-        Ensemble.from_members([small, large])
-    with pytest.raises(WeightsError, match="ensemble of 0 members"):
-        Ensemble.from_members([])
-    lacking = {name: array for name, array in small.items() if name != "bias_1"}
-    with pytest.raises(WeightsError, match=r"member 0: arrays are missing \['bias_1'\] and unknown \[\]"):
-        Ensemble.from_members([lacking])
 
 
 def test_damaged_ensembles_are_refused_by_name(ensemble):

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 from tasks.residual import Architecture, Throws, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble, WeightsError
 from tasks.residual.hyperparameters import Training
-from tasks.residual.observation import INPUTS, OBSERVATION, observe
+from tasks.residual.observation import OBSERVATION, observe
 from tasks.residual.training import train_member
 from tasks.world import LinkStates, Physics, Slush
 
@@ -27,20 +27,6 @@ def test_magnitudes_are_those_of_velocities_and_angles():
     speed, spin, tilt = observe(vars(states), ("speed", "abs_omega", "abs_sin_angle")).T
     assert speed == pytest.approx(np.hypot(states.vx, states.vy), rel=1e-6)
     assert (spin == np.abs(states.omega)).all() and tilt == pytest.approx(np.sqrt(1 - states.cos**2), abs=1e-3)
-
-
-def test_the_papers_observation_comes_first_and_other_inputs_keep_their_numbers():
-    """Weights name their inputs by number, so the table may only grow at its end."""
-    assert tuple(INPUTS)[:6] == OBSERVATION
-    assert tuple(INPUTS)[6:10] == ("sin_angle", "speed", "abs_omega", "abs_sin_angle")
-
-
-def test_throws_are_observed_as_links_are():
-    found = simulate_throws(initial_states(Throws(n_throws=4), np.random.default_rng(1)), 5, Slush(), Physics())
-    rich = found.observed(RICH)
-    assert (found.observed(OBSERVATION) == found.observation).all() and (rich[:, :6] == found.observation).all()
-    assert rich[:, 6] == pytest.approx(np.hypot(*found.state[:, 3:5].T), rel=1e-6)
-    assert rich[:, 8] == pytest.approx(np.abs(np.sin(found.state[:, 2])), abs=1e-6)
 
 
 def test_a_network_of_other_inputs_predicts_links_as_it_was_trained():

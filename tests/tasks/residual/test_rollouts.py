@@ -89,13 +89,6 @@ def test_a_fit_recovers_drag_from_every_fourth_pose(thrown, seen_at_every_fourth
     assert (share < 0.3).all()  # the first estimate's are 0.5
 
 
-def test_a_second_fit_gives_the_same(seen_at_every_fourth_step) -> None:
-    first, again = (
-        fit_medium(*seen_at_every_fourth_step, PHYSICS, n_first_iterations=20, n_iterations=5) for _ in range(2)
-    )
-    assert all(torch.equal(*pair) for pair in zip(first.parameters(), again.parameters(), strict=True))
-
-
 @pytest.fixture
 def wild(thrown):
     """A model with large random weights, as no fit begins with."""
@@ -121,29 +114,3 @@ def test_no_rollout_grows_beyond_all_bounds(wild) -> None:
             fastest.append(float(velocity.abs().max()))
     grown = np.diff(fastest[:1800:100]), np.diff(fastest[1800::100])
     assert np.isfinite(fastest).all() and np.max(grown[1]) < 3 * max(np.max(grown[0]), 1.0)
-
-
-def test_drag_only_slows_a_bar_down(wild) -> None:
-    """Without buoyancy, a flow and the rest, which are the last coefficients."""
-    for layer in (wild.coefficients[-1], wild.rest[-1]):
-        for parameter in layer.parameters():
-            parameter.data[5 if layer is wild.coefficients[-1] else 0 :] = 0.0
-    n = 500
-    pose, length = torch.rand(n, 3, dtype=torch.float64), 1 + 2 * torch.rand(n, dtype=torch.float64)
-    velocity = 30 * torch.randn(n, 3, dtype=torch.float64)
-    with torch.no_grad():
-        after = velocity + wild(length, pose, velocity)
-    speeds = [torch.linalg.norm(of[:, :2], dim=1) for of in (velocity, after)]
-    assert (speeds[1] <= speeds[0] * (1 + 1e-12)).all() and (after[:, 2].abs() <= velocity[:, 2].abs()).all()
-    assert (speeds[1] < 0.9 * speeds[0]).any()
-
-
-def test_half_a_turn_makes_no_difference_to_a_bar(thrown) -> None:
-    measured = MeasuredTransitions(
-        **{name: getattr(thrown, name) for name in thrown.columns()}, residual_sd=np.ones_like(thrown.residual)
-    )
-    model = MediumModel(measured, DT)
-    pose = torch.rand(5, 3, dtype=torch.float64)
-    turned = pose + torch.tensor([0, 0, np.pi])
-    length, velocity = torch.ones(5, dtype=torch.float64), torch.rand(5, 3, dtype=torch.float64)
-    torch.testing.assert_close(model(length, turned, velocity), model(length, pose, velocity))

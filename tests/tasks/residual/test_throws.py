@@ -3,7 +3,7 @@ import pytest
 from links_in_box2d import ReferenceFreeLinks
 from pydantic import ValidationError
 
-from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
+from tasks.residual import Throws, Transitions, initial_states, simulate_throws
 from tasks.residual.observation import VELOCITIES
 from tasks.world import LinkStates, Physics, Slush
 
@@ -48,11 +48,6 @@ def test_log_uniform_throws_scale_all_velocities_of_a_throw_alike():
     assert exponent.mean() == pytest.approx(-1, abs=5 * (2 / 12**0.5) / 5000**0.5)
 
 
-def test_the_same_generator_gives_the_same_starts(starts):
-    again = initial_states(Throws(n_throws=24), np.random.default_rng(7))
-    assert (again.state == starts.state).all() and (again.length_scale == starts.length_scale).all()
-
-
 def test_residual_is_the_difference_of_two_separate_one_step_simulations(transitions):
     rng = np.random.default_rng(1)
     for i in rng.choice(len(transitions), 60, replace=False):
@@ -79,31 +74,6 @@ def test_residual_is_the_slush_s_velocity_change_and_its_time_integral(transitio
     positions = transitions.residual[:, :3]
     assert np.abs(positions - PHYSICS.time_step * transitions.residual[:, VELOCITIES]).max() < 4 * 2**-19
     assert np.abs(x[:, :3]).max() < 64
-
-
-def test_a_link_in_the_air_has_no_residual(transitions):
-    half_diagonal = np.hypot(transitions.length_scale, 1 / transitions.length_scale) / 2
-    airborne = transitions.state[:, 1] > half_diagonal + 1e-3
-    assert 0.1 < airborne.mean() < 0.9
-    assert (transitions.residual[airborne] == 0).all()
-    assert (transitions.residual[~airborne, 4] != 0).mean() > 0.9
-
-
-def test_rows_run_throw_by_throw_and_step_by_step_through_the_slush(starts, transitions):
-    assert len(transitions) == 24 * 30
-    assert (transitions.throw == np.repeat(np.arange(24), 30)).all()
-    assert (transitions.step == np.tile(np.arange(30), 24)).all()
-    assert (transitions.state[::30] == starts.state).all()
-    goes_on = transitions.step[1:] > 0
-    assert (transitions.state[1:][goes_on] == transitions.next_in_slush[:-1][goes_on]).all()
-
-
-def test_observation_is_in_its_order(transitions):
-    assert OBSERVATION == ("a", "y", "cos_angle", "vx", "vy", "omega")
-    assert STATE == ("x", "y", "angle", "vx", "vy", "omega")
-    _, y, angle, vx, vy, omega = transitions.state.T
-    for column, expected in enumerate((transitions.length_scale, y, np.cos(angle), vx, vy, omega)):
-        assert (transitions.observation[:, column] == expected.astype(np.float32)).all()
 
 
 def test_a_throw_does_not_depend_on_its_chunk(starts, transitions):

@@ -1,5 +1,4 @@
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -13,11 +12,9 @@ from tasks.residual import (
     Transitions,
     initial_states,
     simulate_throws,
-    split_throws,
 )
 from tasks.residual.error_report import LOW_SPEED
-from tasks.residual.torch_descent import n_cuda_devices
-from tasks.residual.training import NoDevice, TrainingDiverged, mean_loss, precision_weights, train_member
+from tasks.residual.training import TrainingDiverged, mean_loss, precision_weights, train_member
 from tasks.world import Physics, Slush
 
 SMALL = Architecture(hidden_layers=2, width=16)
@@ -61,70 +58,11 @@ def test_focal_loss_by_hand():
     assert mean_loss(Training(loss="mse"), predicted, halved) == pytest.approx((0.015 + 1.5) / 6, rel=1e-6)
 
 
-def test_focal_loss_is_accurate_for_tiny_errors():
-    error = np.full((1, 6), 1e-6, np.float32)
-    # 1 - exp(-s L) = s L (1 - s L / 2 ...) with s L = 1e-10
-    assert mean_loss(Training(), error, np.zeros((1, 6), np.float32)) == pytest.approx(
-        (100 * 1e-12) ** 2 * 1e-12, rel=1e-5
-    )
-
-
-def test_training_does_not_load_the_compiler_of_torch(thrown):
-    """It takes seconds in each process that trains, and nothing here is compiled by it."""
-    before = set(sys.modules)
-    train_member(thrown, SMALL, SHORT, seed=3, member=1)
-    assert not {"torch._dynamo", "torch._inductor"} & (set(sys.modules) - before)
-
-
-def test_a_second_run_gives_the_same_bytes(thrown):
-    first, second = (train_member(thrown, SMALL, SHORT, seed=3, member=1) for _ in range(2))
-    assert list(first.arrays()) == list(second.arrays())
-    for name, array in first.arrays().items():
-        assert array.dtype == np.float32
-        assert array.tobytes() == second.arrays()[name].tobytes(), name
-    assert first.learning_curve.tobytes() == second.learning_curve.tobytes()
-    assert repr(first.validation) == repr(second.validation)
-
-
 def test_members_differ_in_their_networks_and_share_their_hold_out(thrown):
     a, b, c = (train_member(thrown, SMALL, SHORT, seed=s, member=m) for s, m in ((3, 0), (3, 1), (4, 0)))
     assert (a.weights["weight_0"] != b.weights["weight_0"]).all()
     assert (a.standardisation.residual_mean == b.standardisation.residual_mean).all()
     assert (a.standardisation.residual_mean != c.standardisation.residual_mean).any()
-
-
-def test_nothing_held_out_learns_from_every_throw_and_validates_on_them(thrown):
-    member = train_member(thrown, SMALL, SHORT.model_copy(update={"held_out": 0.0}), seed=3, member=0)
-    mean = thrown.residual.mean(axis=0, dtype=float).astype(np.float32)
-    assert (member.standardisation.residual_mean == mean).all()
-    assert {row.n_rows for row in member.validation if row.band == "all"} == {len(thrown.throw)}
-
-
-def test_standardisation_knows_the_training_set_alone(thrown):
-    member = train_member(thrown, SMALL, SHORT, seed=3, member=0)
-    learned, held_out = split_throws(thrown.throw, SHORT.held_out, seed=3)
-    mean = thrown.residual[learned].mean(axis=0, dtype=float).astype(np.float32)
-    assert (member.standardisation.residual_mean == mean).all()
-    assert {row.n_rows for row in member.validation if row.band == "all"} == {held_out.sum()} == {4 * 200}
-
-
-def test_a_linear_residual_is_learned_down_to_its_noise():
-    matrix = np.random.default_rng(9).normal(size=(6, 6))
-    matrix /= np.linalg.norm(matrix, axis=0)  # every component then has variance 1
-    noise = 0.1
-    data = synthetic(100, 200, lambda o, rng: o @ matrix + noise * rng.normal(size=o.shape))
-    training = Training(n_iterations=3000, batch_size=1024, loss="mse", learning_rate=1e-2)
-    member = train_member(data, SMALL.model_copy(update={"dropout": 0.0}), training, seed=0, member=0)
-    # Nothing predicts the noise: its variance is left, over that of the signal (1) and itself. A fit of k parameters
-    # to n rows leaves k/n more, and 12,000 held-out values know a variance to (2 / 12,000)^½ = 1.3 %.
-    n_parameters = sum(array.size for array in member.weights.values())
-    floor = noise**2 / (1 + noise**2)
-    expected = floor * (1 + n_parameters / 18_000)
-    assert member.learning_curve[-1, 2] == pytest.approx(expected, rel=5 * 0.013)
-    for row in member.validation:
-        if row.band == "all":
-            assert row.rmse == pytest.approx(noise, rel=0.1)
-            assert row.r2 == pytest.approx(1 - floor, abs=0.003)
 
 
 def test_throws_never_seen_are_predicted_much_better_than_by_the_mean():
@@ -153,14 +91,6 @@ def test_data_that_are_not_finite_end_a_training_by_name(thrown, value):
         train_member(synthetic(10, 5, spoiled), SMALL, SHORT, seed=0, member=4)
 
 
-def test_a_learning_rate_that_explodes_ends_a_training_by_name():
-    data = synthetic(10, 50, lambda o, rng: o)
-    # AdamW multiplies a weight by 1 - rate · decay = -9 at every step.
-    wild = Training(n_iterations=200, batch_size=64, loss="mse", weight_decay=10.0, learning_rate=1.0, warm_up=0.0)
-    with pytest.raises(TrainingDiverged, match=r"member 2: the \w+ loss is (inf|nan) at iteration \d+; lower"):
-        train_member(data, SMALL, wild, seed=0, member=2)
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -178,13 +108,6 @@ def test_a_learning_rate_that_explodes_ends_a_training_by_name():
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         Training(**wrong)
-
-
-@pytest.mark.skipif(n_cuda_devices() > 0, reason="there is a CUDA device")
-def test_a_device_that_is_not_there_is_named(thrown):
-    on_gpu = SHORT.model_copy(update={"device": "cuda"})
-    with pytest.raises(NoDevice, match=r"training.device is 'cuda', but torch \d.*finds no CUDA device"):
-        train_member(thrown, SMALL, on_gpu, seed=0, member=0)
 
 
 def test_uncertain_residuals_weigh_less():

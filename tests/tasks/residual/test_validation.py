@@ -18,11 +18,6 @@ def test_at_least_one_throw_is_held_out_and_not_all(share):
     assert learned.sum() == validated.sum() == 1
 
 
-def test_every_throw_is_learned_from_if_none_is_held_out():
-    learned, validated = split_throws(np.array([3, 3, 9]), 0.0, seed=0)
-    assert learned.all() and validated.all()
-
-
 def test_one_throw_cannot_be_split():
     with pytest.raises(ValueError, match="of 1 throws, expected at least 2"):
         split_throws(np.array([3, 3]), 0.1, seed=0)

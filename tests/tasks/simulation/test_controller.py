@@ -1,10 +1,6 @@
 """The controller: a sine good to its stated error, and θ*(t) = rest + range · sin(2π f t + phase)."""
 
-from dataclasses import replace
-
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tasks.design import random_designs
 from tasks.simulation.controller import Controllers, sine_of_turns
@@ -23,20 +19,6 @@ def test_the_sine_is_as_good_as_stated() -> None:
     assert np.abs(sine - np.sin(2 * np.pi * turns.astype(np.float64))).max() < 3e-7
 
 
-def test_the_sine_at_quarters() -> None:
-    np.testing.assert_allclose(
-        sine_of_turns(np.float32([0, 0.25, 0.5, 0.75, 1, -0.25, 7.25])), [0, 1, 0, -1, 0, -1, 1], rtol=0, atol=3e-7
-    )
-
-
-@given(st.floats(-1000, 1000, width=32))
-def test_the_sine_is_odd_and_bounded(turns: float) -> None:
-    there, back = sine_of_turns(np.float32([turns, -turns]))
-    # At half a turn both signs are rounded to the same representative, where the sine is 0 within its error.
-    assert there == -back or abs(there) < 3e-7
-    assert abs(there) <= 1 + 3e-7
-
-
 def test_the_target_angle() -> None:
     designs = random_designs(50, np.random.default_rng(42))
     controllers = Controllers.of(designs)
@@ -49,12 +31,6 @@ def test_the_target_angle() -> None:
         turns = designs.frequency[:, None] * step * DT + 1
         tolerance = np.pi / 2 * (2 * np.pi * 5 * EPS32 * turns + 3e-7) + 3 * EPS32 * 5
         assert (np.abs(controllers.target_angle(step, DT) - expected)[:, 1:] <= tolerance).all()
-
-
-def test_targets_are_single_precision_and_shaped_by_link() -> None:
-    angle = Controllers.of(random_designs(7, np.random.default_rng(43))).target_angle(3, DT)
-    assert angle.shape == (7, 6)
-    assert angle.dtype == np.float32
 
 
 def test_the_range_is_an_amplitude() -> None:
@@ -80,10 +56,3 @@ def test_the_range_may_be_peak_to_peak() -> None:
     lower, upper = half.limits()
     np.testing.assert_allclose((upper - lower)[:, 1:], designs.motion_range[:, 1:], atol=4 * EPS32 * 5)
     np.testing.assert_allclose((upper + lower)[:, 1:], 2 * designs.rest_angle[:, 1:], atol=4 * EPS32 * 10)
-
-
-def test_a_root_has_no_motor() -> None:
-    designs = replace(random_designs(5, np.random.default_rng(45)), motor_on=np.ones((5, 6), dtype=bool))
-    on = Controllers.of(designs).motor_on
-    assert not on[:, 0].any()
-    assert on[:, 1:].all()

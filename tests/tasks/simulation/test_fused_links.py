@@ -1,12 +1,10 @@
 """Links placed by bodies, bodies pushed by links: every bit is kept where nothing fuses, momenta where it does."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tasks.design import Morphology, RigidBodies, kinematic_trees, random_designs, rigid_bodies
-from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
+from tasks.simulation.fused_links import body_change, place_links
 from tasks.world import VelocityChange
 
 N = 200
@@ -31,20 +29,6 @@ def change(rng: np.random.Generator) -> VelocityChange:
 def fused() -> RigidBodies:
     designs = random_designs(N, np.random.default_rng(41), morphology=Morphology(n_actuated=2))
     return rigid_bodies(designs, passive_joints="locked")
-
-
-def test_links_that_are_bodies_keep_every_bit() -> None:
-    rng = np.random.default_rng(42)
-    rigid = rigid_bodies(random_designs(N, rng), passive_joints="swing")
-    state, cos, sin = states(rigid, rng)
-    placed = place_links(rigid, state, cos, sin)
-    np.testing.assert_array_equal(placed.state, state)
-    np.testing.assert_array_equal((placed.cos, placed.sin), (cos, sin))
-    pushes = change(rng)
-    of_body = body_change(rigid, placed.lever_x, placed.lever_y, pushes)
-    for name in ("vx", "vy", "omega"):
-        np.testing.assert_array_equal(getattr(of_body, name), getattr(pushes, name))
-        assert getattr(of_body, name).dtype == np.float32
 
 
 def test_links_move_with_their_body(fused: RigidBodies) -> None:
@@ -102,39 +86,3 @@ def test_pushes_of_links_add_up_as_momenta(fused: RigidBodies) -> None:
             # Six terms of a few factors; pushes within 5 m/s, m r / I below 1.5 /m for every body of several links.
             np.testing.assert_allclose(found[:, is_body, first], expected, rtol=0, atol=6 * 5 * 5 * 2 * ULP)
             assert not found[:, ~is_body, first].any()
-
-
-def test_a_body_that_is_pushed_alike_everywhere_does_not_turn(fused: RigidBodies) -> None:
-    rng = np.random.default_rng(45)
-    state, cos, sin = states(fused, rng)
-    placed: PlacedLinks = place_links(fused, state, cos, sin)
-    alike = VelocityChange(*(np.full(SHAPE, v, np.float32) for v in (0.5, -2.0, 0.0)))
-    of_body = body_change(fused, placed.lever_x, placed.lever_y, alike)
-    first = np.broadcast_to(fused.is_first, SHAPE)
-    np.testing.assert_allclose(of_body.vx[first], 0.5, rtol=6 * ULP)
-    np.testing.assert_allclose(of_body.vy[first], -2.0, rtol=6 * ULP)
-    assert np.abs(of_body.omega[first]).max() < 6 * 5 * 2 * 2 * ULP
-
-
-def test_the_order_of_sums_is_that_of_the_links(fused: RigidBodies) -> None:
-    """Written out for one body, operation by operation, as the batch engine has to do it."""
-    rng = np.random.default_rng(46)
-    design = int(np.argmax((fused.first_link == 0).sum(axis=1)))
-    links = np.flatnonzero(fused.first_link[design] == 0)
-    assert len(links) == 4
-    state, cos, sin = states(fused, rng)
-    placed, pushes = place_links(fused, state, cos, sin), change(rng)
-    vx = omega = np.float32(0)
-    for link in links:
-        vx = vx + fused.mass_share[design, link] * pushes.vx[0, design, link]
-        moment = (
-            placed.lever_x[0, design, link] * pushes.vy[0, design, link]
-            - placed.lever_y[0, design, link] * pushes.vx[0, design, link]
-        )
-        omega = omega + (
-            fused.mass_over_inertia[design, link] * moment
-            + fused.inertia_share[design, link] * pushes.omega[0, design, link]
-        )
-    of_body = body_change(replace(fused), placed.lever_x, placed.lever_y, pushes)
-    assert of_body.vx[0, design, 0] == vx
-    assert of_body.omega[0, design, 0] == omega

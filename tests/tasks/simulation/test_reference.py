@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import shapely
 
-from tasks.design import Designs, Morphology, kinematic_trees, random_designs, rigid_bodies
-from tasks.simulation import reference, simulate
+from tasks.design import Designs, kinematic_trees, random_designs
+from tasks.simulation import simulate
 from tasks.simulation.controller import Controllers
 from tasks.world import DryLand, Physics, TrueSlush
 
@@ -40,27 +40,6 @@ def test_motors_follow_the_target_angle() -> None:
     lag = designs.motion_range[:, 1:].max() * 2 * np.pi * 0.05 / 10
     assert error.max() < 1.5 * lag
     assert np.ptp(target, axis=1).max() > 1  # it is not a comparison of still things
-
-
-def test_a_joint_whose_motor_is_off_is_never_commanded() -> None:
-    designs = random_designs(16, np.random.default_rng(62))
-    idle = replace(designs, motor_on=np.zeros_like(designs.motor_on))
-    wild = replace(idle, phase=designs.phase[::-1].copy(), motion_range=designs.motion_range[::-1].copy())
-    wild = replace(wild, frequency=designs.frequency[::-1].copy())
-    one, other = (
-        simulate(d, DryLand(1.0), n_settle=0, n_measure=200, engine="reference", trace=True).trace for d in (idle, wild)
-    )
-    np.testing.assert_array_equal(one, other)
-
-
-def test_free_joints_have_no_torque() -> None:
-    # Falling without motors, a robot that starts at rest keeps its pose: gravity pulls all links alike.
-    designs = random_designs(16, np.random.default_rng(63))
-    idle = replace(designs, motor_on=np.zeros_like(designs.motor_on))
-    trace = simulate(idle, DryLand(100.0), n_settle=0, n_measure=60, engine="reference", trace=True).trace
-    assert trace is not None
-    assert np.abs(trace[..., OMEGA]).max() < 1e-3
-    assert np.abs(joint_angles(trace, idle) - idle.rest_angle[:, None, 1:]).max() < 1e-3
 
 
 def test_joints_hold_together() -> None:
@@ -147,41 +126,3 @@ def test_the_engine_agrees_with_the_obvious_script(design: int) -> None:
     expected = obvious_script(designs, design, 9.0, n_steps)
     # The script computes motors and slush in float64: a rounding of 1e-7 apart at first, 2e-6 m or rad after 2.5 s.
     np.testing.assert_allclose(trace[design][..., :3], expected[..., :3], rtol=0, atol=2e-5)
-
-
-def test_box2d_has_the_mass_the_centre_and_the_inertia_of_the_links_that_fuse() -> None:
-    # A closed form, in double precision, against what b2Body::ResetMassData made of the fixtures.
-    designs = random_designs(60, np.random.default_rng(66), morphology=Morphology(n_actuated=2))
-    density = 1.25
-    physics = Physics(link_density=density, passive_joints="locked", link_collisions=True)
-    trees = kinematic_trees(designs, density=density)
-    rigid = rigid_bodies(designs, passive_joints="locked")
-    for design in range(60):
-        robot = reference._Robot(trees, rigid, design, Controllers.of(designs), 1.0, physics)
-        firsts = np.unique(rigid.first_link[design])
-        assert len(robot.bodies) == len(firsts) == 3
-        assert len(robot.joints) == 2
-        for first, body in zip(firsts, robot.bodies, strict=True):
-            n_links = int((rigid.first_link[design] == first).sum())
-            centre = np.array(tuple(body.localCenter))
-            about_centre = body.inertia - body.mass * centre @ centre  # b2Body::GetInertia is about the origin
-            expected = density / rigid.mass_over_inertia[design, first]
-            assert len(body.fixtures) == n_links
-            assert body.mass == pytest.approx(density * n_links, rel=1e-6)
-            lever = np.array([rigid.lever_x[design, first], rigid.lever_y[design, first]])
-            np.testing.assert_allclose(centre, -lever, rtol=0, atol=1e-5)
-            # The inertia is a difference of float32 numbers, of which the one about the origin may be far larger.
-            assert about_centre == pytest.approx(expected, abs=float(1e-6 * (body.inertia + expected)))
-
-
-def test_a_link_collides_with_the_ground_and_with_those_that_no_joint_ties_to_it() -> None:
-    parents = np.array([-1, 0, 0, 1, 3, 3])
-    physics = Physics(link_collisions=True)
-    sets = [reference._collides(parents, link, physics) for link in range(6)]
-    for i, one in enumerate(sets):
-        assert one["categoryBits"] == 1 << i
-        assert one["maskBits"] & reference.GROUND_BIT
-        for j, other in enumerate(sets):
-            meets = bool(one["maskBits"] & other["categoryBits"])
-            assert meets == bool(other["maskBits"] & one["categoryBits"])
-            assert meets == (i != j and parents[i] != j and parents[j] != i)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import ENVIRONMENTS, LinkStates, Physics, Slush
-from tasks.world.anisotropic_slush import AnisotropicPool, AnisotropicSlush
+from tasks.world import LinkStates, Physics, Slush
+from tasks.world.anisotropic_slush import AnisotropicSlush
 
 PHYSICS = Physics()
 
@@ -43,9 +43,3 @@ def test_a_tilted_plate_that_sinks_is_pushed_to_the_side_of_its_lower_end(angle:
         state = links.step(state, AnisotropicSlush())
     # The long axis (-sin θ, cos θ) points down at (sin θ, -cos θ), where motion is easiest.
     assert np.sign(state[0, 0]) == np.sign(angle) and abs(state[0, 3]) > 0.1
-
-
-def test_it_is_registered() -> None:
-    built = ENVIRONMENTS["anisotropic_slush"].environment(2.0, {"anisotropic_slush": {"drag_along": 2.0}})
-    assert built == AnisotropicPool(2.0, AnisotropicSlush(drag_along=2.0))
-    assert built.medium == AnisotropicSlush(drag_along=2.0)

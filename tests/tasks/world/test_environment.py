@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tasks.world import DryLand, Environment, LinkStates, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
+from tasks.world import DryLand, Environment, LinkStates, Physics, ResidualSlush, TrueSlush, VelocityChange
 
 
 class StillEnsemble:
@@ -40,13 +40,6 @@ def test_other_depths_are_refused(environment: Callable[[float], Environment], d
     message = f"depth is {depth!r}, expected a finite number of metres, at least 0"
     with pytest.raises(ValueError, match=re.escape(message)):
         environment(depth)
-
-
-def test_environments_differ_in_their_medium() -> None:
-    assert DryLand(1.0).medium is None
-    assert TrueSlush(1.0).medium == Slush()
-    assert TrueSlush(1.0, slush=Slush(density=1.5)).medium == Slush(density=1.5)
-    assert residual_slush(1.0).medium is ENSEMBLE
 
 
 def test_the_base_simulators_constants() -> None:

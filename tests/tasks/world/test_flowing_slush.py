@@ -3,8 +3,8 @@
 import numpy as np
 
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import ENVIRONMENTS, Physics, Slush
-from tasks.world.flowing_slush import FlowingPool, FlowingSlush
+from tasks.world import Physics, Slush
+from tasks.world.flowing_slush import FlowingSlush
 
 
 def drifted(medium: Slush, n_steps: int) -> np.ndarray:
@@ -24,9 +24,3 @@ def test_it_carries_a_link_at_rest() -> None:
 
 def test_without_a_current_it_is_the_slush() -> None:
     np.testing.assert_array_equal(drifted(FlowingSlush(current=0.0), 20), drifted(Slush(), 20))
-
-
-def test_it_is_registered() -> None:
-    built = ENVIRONMENTS["flowing_slush"].environment(2.0, {"flowing_slush": {"current": -0.3}})
-    assert built == FlowingPool(2.0, FlowingSlush(current=-0.3))
-    assert built.medium == FlowingSlush(current=-0.3)

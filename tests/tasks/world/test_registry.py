@@ -59,19 +59,8 @@ def test_an_environment_of_networks_requires_an_ensemble(name: str) -> None:
         ENVIRONMENTS[name].environment(3.0, {})
 
 
-def test_environments_without_an_ensemble_have_one_member() -> None:
-    for environment in (DryLand(1.0), TrueSlush(1.0)):
-        assert not environment.is_ensemble and environment.n_members == 1
-
-
 def test_a_name_is_registered_once() -> None:
     registered = dict(ENVIRONMENTS)
     with pytest.raises(ValueError, match="environment 'dry_land' is registered twice"):
         register(dataclasses.replace(ENVIRONMENTS["dry_land"], label="Another"))
     assert dict(ENVIRONMENTS) == registered
-
-
-def test_every_environment_has_colours_markers_and_labels_of_its_own() -> None:
-    for field in ("label", "symbol", "marker", "color", "adapted_color", "dark_color", "dark_adapted_color"):
-        values = [getattr(kind, field) for kind in ENVIRONMENTS.values()]
-        assert len(set(values)) == len(values), field

@@ -1,6 +1,5 @@
 """Networks on a CPU: their sums' order and rounding, torch's results, and rows that know nothing of others."""
 
-import pickle
 from fractions import Fraction
 from itertools import pairwise
 
@@ -100,12 +99,3 @@ def test_what_is_not_finite_stays_in_its_row(poison):
     hit[1, 37] = True
     assert not np.isfinite(got[hit]).any()
     assert (got[~hit] == clean[~hit]).all()
-
-
-def test_it_travels_to_another_process():
-    network = packed(2, 32)
-    x = rows(20)
-    expected = network.forward(x)
-    again = pickle.loads(pickle.dumps(network))
-    del network
-    assert (again.forward(x) == expected).all()

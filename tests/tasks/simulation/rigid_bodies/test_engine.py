@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from both_engines import Slushes, assert_equal_in_plain_python, peaks_of_memory
+from both_engines import Slushes, assert_equal_in_plain_python
 
 from tasks.design import Designs, random_designs, rigid_bodies
 from tasks.simulation import DIVERGED, OK, batch, simulate
@@ -51,14 +51,6 @@ def test_every_order_and_size_of_a_batch_gives_the_same_bits(designs, environmen
 
 
 @compiled_only
-def test_without_a_trace_the_ends_are_the_same(designs, environment):
-    whole, ends = roll_out(designs, environment), roll_out(designs, environment, trace=False)
-    assert ends.trace is None
-    np.testing.assert_array_equal(ends.settled, whole.trace[:, :, 19])
-    np.testing.assert_array_equal(ends.final, whole.trace[:, :, -1])
-
-
-@compiled_only
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 3e38])
 @pytest.mark.parametrize("quantity", ["v_x", "w", "a"])
 def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, quantity):
@@ -95,13 +87,6 @@ def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_eng
     assert set(ours.status.flat) == {OK, DIVERGED}
 
 
-@compiled_only
-def test_memory_does_not_grow_with_steps():
-    peaks = peaks_of_memory(random_designs(2000, np.random.default_rng(4)), PHYSICS)
-    assert peaks[0] < 120e6  # bytes: 5 kB a robot, a few times over while packing
-    assert peaks[1] < 1.01 * peaks[0]
-
-
 def test_pairs_come_in_the_order_in_which_fixtures_are_made():
     designs = random_designs(1, np.random.default_rng(1))
     star = Designs(
@@ -121,15 +106,6 @@ def test_pairs_come_in_the_order_in_which_fixtures_are_made():
     assert pairs == [*ground, (3, 2), (3, 0), (3, 4), (5, 2), (5, 0), (5, 1), (5, 4), (2, 1), (2, 4)]
     a, b, n = packing.fixture_pairs(star, rigid, Physics(passive_joints="locked"))
     assert list(zip(a[0].tolist(), b[0].tolist(), strict=True))[: n[0]] == ground
-
-
-def test_the_mass_of_a_box_anywhere_in_the_frame():
-    # Closed forms: m = ρ w h at the centre; I = m (w² + h²) / 12 + m r² about the frame's origin.
-    vertices, _ = packing.boxes(np.float32([0.25]), np.float32([1.0]))
-    mass, center, inertia = packing.compute_mass(vertices + np.float32([2.0, -1.5]), 3.0)
-    np.testing.assert_allclose(mass, 3.0, rtol=1e-6)
-    np.testing.assert_allclose(center, [[2.0, -1.5]], rtol=1e-6)
-    np.testing.assert_allclose(inertia, 3.0 * ((0.5**2 + 2**2) / 12 + 2.0**2 + 1.5**2), rtol=1e-6)
 
 
 def test_the_kernels_are_plain_python_too():

@@ -8,14 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numba.core.errors import TypingError
 
 from tasks.compiled import inline
-from tasks.simulation.free_links import sines_and_cosines
 from tasks.simulation.simd.lanes import (
-    ALIGNMENT,
     Block,
-    aligned,
     any_lane,
     count_lanes,
     count_parts,
@@ -32,7 +28,6 @@ from tasks.simulation.simd.lanes import (
     widest,
     with_lane,
 )
-from tasks.simulation.simd.rotation import scalar_sincos
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="these are the compiled lanes")
 
@@ -171,82 +166,3 @@ def test_parts_are_halves_of_more_lanes_than_a_register_has(width, run):
     np.testing.assert_array_equal(block.rows[2], (numbers > 2.5) * np.where(any_above[which], 2, 1))
     assert (block.rows[3] == size).all()
     assert (block.rows[4] == -1).all()
-
-
-@numba.njit
-def of_parts(block):
-    """The kernel's own order, a row and then its part; and the one part of a part."""
-    for row in range(2):
-        for index in range(count_parts(block)):
-            some = part(from_row(block, row), index)
-            some[0] = some[0] + 100.0 * row
-            same = part(some, count_parts(some) - 1)
-            same[2] = same[0] + 10.0 * index
-
-
-@pytest.mark.parametrize("run", [of_parts, of_parts.py_func], ids=["compiled", "plain"])
-@pytest.mark.parametrize("width", [4, widest()])
-def test_a_part_of_later_rows_and_a_part_of_a_part(width, run):
-    block = Block(4, width)
-    block.rows[:2, width - 1] = np.nan  # stays in its lane
-    run(block)
-    expected = np.where(np.arange(width) < width - 1, [[0.0], [100.0]], np.nan)
-    np.testing.assert_array_equal(block.rows[:2], expected)
-    half = np.arange(width) // (widest() // 2)
-    np.testing.assert_array_equal(block.rows[2:], expected + 10 * half)
-
-
-@numba.njit
-def of_a_number(x):
-    doubled = to_double(x)
-    chosen = select(any_lane(x > 0.0), sqrt(abs(x)), floor(x))
-    return chosen, to_single(fma(doubled, 3.0, 0.25)), truncate(doubled), scalar_sincos(x)
-
-
-@pytest.mark.parametrize("run", [of_a_number, of_a_number.py_func], ids=["compiled", "plain"])
-@pytest.mark.parametrize("x", [-2.75, 0.3, 2.5, 119.0, 1e7, -1e9])
-def test_functions_of_lanes_take_numbers(run, x):
-    x = np.float32(x)
-    chosen, tripled, truncated, sincos = run(x)
-    assert chosen == (np.sqrt(x) if x > 0 else np.floor(x))
-    assert tripled == np.float32(np.float64(x) * 3 + 0.25)
-    assert truncated == np.int32(x)
-    (sine,), (cosine,) = sines_and_cosines(np.array([x]))
-    assert sincos == (sine, cosine)
-
-
-def test_a_part_made_in_python_is_a_part_in_a_kernel():
-    half = widest() // 2
-    block = Block(3, 2 * half)
-    add_rows(part(block, 1))
-    assert block.rows[:, :half].max() == 0 and (block.rows[:2, half:] == [[1], [2]]).all()
-
-
-@numba.njit
-def add_rows(block):
-    block[0] = block[0] + 1.0
-    block[1] = block[1] + 2.0
-
-
-@pytest.mark.parametrize("n_lanes", [0, 3, 12])
-def test_a_number_of_lanes_that_is_no_power_of_two_is_refused(n_lanes):
-    with pytest.raises(ValueError, match=f"a block has {n_lanes} lanes, expected a power of two"):
-        Block(1, n_lanes)
-
-
-def test_in_place_operators_are_refused_because_an_array_would_change_under_all_its_names():
-    @numba.njit
-    def add(block):
-        x = block[0]
-        x += 1.0
-        block[0] = x
-
-    with pytest.raises(TypingError, match="iadd"):
-        add(Block(1, 4))
-
-
-@pytest.mark.parametrize("shape", [(1,), (3, 5), (7, 16)])
-def test_memory_begins_on_a_cache_line(shape):
-    for _ in range(5):
-        array = aligned(shape)
-        assert array.ctypes.data % ALIGNMENT == 0 and array.shape == shape and not array.any()
