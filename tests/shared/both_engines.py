@@ -6,7 +6,6 @@ import hashlib
 import os
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -17,9 +16,9 @@ import numpy as np
 from tasks.design import Designs
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.observation import OBSERVATION, Observed
-from tasks.simulation import batch, reference, simulate
+from tasks.simulation import batch, reference
 from tasks.simulation.box2d import Motion
-from tasks.world import Environment, LinkStates, Physics, Slush, TrueSlush, VelocityChange
+from tasks.world import Environment, LinkStates, Physics, Slush, VelocityChange
 
 OTHER_CONSTANTS: dict[str, Any] = {
     "gravity": 3.7,
@@ -117,17 +116,6 @@ def assert_equal(
     if ours.trace is not None:
         np.testing.assert_array_equal(ours.trace, theirs.trace)
     return ours
-
-
-def peaks_of_memory(designs: Designs, physics: Physics) -> list[int]:
-    """Measure the peak memory [bytes] of simulations of one step and of twelve."""
-    peaks = []
-    for n_measure in (1, 12):
-        tracemalloc.start()
-        simulate(designs, TrueSlush(1.0), n_settle=0, n_measure=n_measure, physics=physics)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    return peaks
 
 
 PLAIN_PYTHON = """
