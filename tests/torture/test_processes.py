@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import ipaddress
 import os
 import pty
 import re
@@ -220,3 +221,19 @@ def mirrored(root: Path) -> list[str]:
     with contextlib.closing(sqlite3.connect(root / "mlflow.db")) as database:
         nested = "SELECT run_uuid FROM tags WHERE key = 'mlflow.parentRunId'"
         return [name for (name,) in database.execute(f"SELECT name FROM runs WHERE run_uuid NOT IN ({nested})")]
+
+
+def test_a_run_listens_on_the_loopback_alone_and_connects_to_no_other_host(tmp_path: Path):
+    seen: set[str] = set()
+    with driver(tmp_path, *WITHOUT_MLFLOW, "--workers", "1", command="collect") as one:
+        while one.process.poll() is None:
+            for process in one.family():
+                with contextlib.suppress(psutil.Error):
+                    for found in process.net_connections("inet"):
+                        seen.add(process.name())
+                        for end in filter(None, (found.laddr, found.raddr)):
+                            address = ipaddress.ip_address(end.ip)
+                            assert (getattr(address, "ipv4_mapped", None) or address).is_loopback, process.cmdline()
+            time.sleep(0.2)
+        assert one.process.returncode == 0, one.said()
+    assert {"gcs_server", "raylet"} <= seen
