@@ -96,12 +96,10 @@ def flip(path):
 def test_a_damaged_kernel_is_compiled_again(compile_and_call, damage):
     said, kept = compile_and_call()
     assert "compiling" in said
-    before = kept.read_bytes()
     assert compile_and_call() == ("", kept)
     damage(kept)
     said, _ = compile_and_call()
     assert f"the compiled kernel {kept} is damaged and is compiled again" in said and said.count("compiling") == 1
-    assert len(kept.read_bytes()) == len(before)
     assert compile_and_call() == ("", kept)
 
 
