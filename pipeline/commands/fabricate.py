@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName, StudyOptions, TrackingUri, with_options
-from pipeline.commands.output import to_stderr, to_stdout
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName, StudyOptions, with_options
+from pipeline.commands.output import to_stdout
 from pipeline.errors import PuddleError
 
 
@@ -27,7 +27,6 @@ def fabricate(
         bool, typer.Option("--throwing-kit", help="Make bars to throw, their tags and a protocol instead of a robot.")
     ] = False,
     store: StorePath = DEFAULT_STORE,
-    tracking_uri: TrackingUri = None,
 ) -> None:
     """Make the kit of a robot: printable parts, bill of materials, drawings, scaling, and the servos' timeline.
 
@@ -39,8 +38,8 @@ def fabricate(
     """
     from pipeline.config.loading import load, parse
     from pipeline.fabrication.make_kit import fabricate as make
-    from pipeline.store.design_file import read_design
-    from pipeline.tracking.mirror import Tracker
+    from pipeline.fabrication.source import from_file, proposed
+    from pipeline.results.recorded_study import open_study
     from tasks.fabrication.kit_settings import FabricationSettings
 
     def of_the_kit() -> FabricationSettings:
@@ -62,14 +61,12 @@ def fabricate(
         why = "whose champion is simulated with the study's own settings"
         raise PuddleError(f"--preset: expected with a design file, got with --study {study}, {why}")
     of_kit = of_the_kit()
-    options = StudyOptions(study=study, preset=preset or "pontoon" if study is None else None, store=store)
-    of_study = options.settings()
-    if design is not None:
-        read_design(design)  # a design that is refused leaves no empty store behind
-    opened = options.open_store(create=study is None)
     with interruptible():
-        tracker = Tracker(opened.root, tracking_uri, say=to_stderr)
-        made = make(design, of_study, of_kit, out, store=opened, tracker=tracker)
+        if design is not None:
+            source = from_file(design, StudyOptions(preset=preset or "pontoon", store=store).settings())
+        else:
+            source = proposed(open_study(str(study), store))
+        made = make(source, of_kit, out)
     for line in made.lines:
         to_stdout(line)
     if made.n_faults:

@@ -1,28 +1,32 @@
 """The kit on the bench: the loads of its servos, its floating, its timeline, and what speaks against building it."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import pi, radians
+from math import isclose, pi, radians
 
 import numpy as np
 
-from pipeline.fabrication import bench_checks
 from pipeline.fabrication.source import DesignSource
 from pipeline.stages import environments
 from tasks.arrays import Float64
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import KitFinding
-from tasks.fabrication.contacts import PassingContact, passing_contacts
-from tasks.fabrication.floating import Floating, floating_of
-from tasks.fabrication.kit import Kit
+from tasks.fabrication.contacts import passing_contacts
+from tasks.fabrication.kit import Floating, Kit, floating_of
 from tasks.fabrication.kit_settings import FabricationSettings
-from tasks.fabrication.scaling import JointLoad, Scales, joint_loads, scales_of
+from tasks.fabrication.scaling import CONTINUOUS_SHARE, JointLoad, Scales, joint_loads, scales_of
 from tasks.fabrication.servos import Servo
-from tasks.fabrication.timeline import Timeline, driven_joints, timeline_of
+from tasks.fabrication.timeline import Timeline, TimelineError, driven_joints, pulses, timeline_of
 from tasks.simulation import OK, simulate
 from tasks.simulation.box2d import Column
 from tasks.world import Physics
 
 _SPARE_RANGE = radians(5.0)  # beyond a joint's range that a calibration allows
+_MIN_MARGIN = 1.3  # sagging batteries, cables, wet seals and wear may take a quarter of a data sheet's torque and speed
+_SATURATION_NOTE = 0.05  # share of the run at the simulated motor's limit that is worth a note
+_SATURATION_WARNING = 0.2  # share above which the simulated torques underestimate the gait's
+_BRIEF_CONTACT = 0.001  # share of the run up to which a contact is only a note
+_MAX_DEVIATIONS = 2.0  # of the ensemble between its mean and the truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,17 +59,7 @@ class Bench:
 
 
 def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physics: Physics) -> Bench:
-    """Simulate a design, compute loads, floating and timeline of its kit, and check them.
-
-    Args:
-        source: The design, its settings and what its study knows of it.
-        kit: Its kit.
-        choices: The kit's settings.
-        physics: Physics of the simulated run.
-
-    Returns:
-        Loads, floating, timeline and findings.
-    """
+    """Simulate a design, compute loads, floating and timeline of its kit, and check them."""
     design, settings, servo = source.design, choices.kit, kit.servo
     scales = scales_of(
         choices.scaling,
@@ -73,10 +67,21 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
         mass_kg=kit.mass_g / 1000,
         simulated_mass_kg=physics.link_density * design.parent.shape[1],  # a link has 1 m²
     )
+    findings: list[KitFinding] = []
+    calibration, timeline = _calibration_of(kit), None
+    if calibration is not None:
+        timeline = timeline_of(design, choices.playback, time_scale=scales.time)
+        try:
+            pulses(timeline, calibration)
+        except TimelineError as error:
+            message = f"can't play this gait: {str(error).rstrip('.')}. {_ADVICE['gait']}"
+            findings.append(KitFinding("fault", "servos", message))
+            timeline = None
     simulated = _simulated(source, physics)
     loads: list[JointLoad] = []
-    contacts: list[PassingContact] = []
-    if simulated is not None:
+    if simulated is None:
+        findings.append(KitFinding("fault", "joints", "loads are unknown because the simulation diverged"))
+    else:
         joints = driven_joints(design)
         loads = joint_loads(
             joints,
@@ -88,25 +93,28 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
             max_motor_torque=physics.max_motor_torque,
             commanded_speed=2 * pi * design.frequency[0] * design.motion_range[0, list(joints)],
         )
-        contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
-    floating = floating_of(kit, fluid_density=choices.scaling.fluid_density)
-    calibration = _calibration_of(kit)
-    timeline: Timeline | None = None
-    refused: list[KitFinding] = []
-    if calibration is not None:
-        timeline = timeline_of(design, choices.playback, time_scale=scales.time)
-        if refused := bench_checks.check_timeline(timeline, calibration, choices):
-            timeline = None
-    tank = source.settings.tank  # without one the kit floats in slush of the simulated depth, at its scale
+        findings += check_loads(loads, servo)
+        for contact in passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step):
+            (first, second), parts = contact.links, " and ".join(f"part {part + 1}" for part in contact.parts)
+            where = ("joint " if len(contact.joints) == 1 else "joints ") + " and ".join(map(str, contact.joints))
+            message = (
+                f"links {first} and {second} touch in {contact.share:.1%} of the simulated run, first after "
+                f"{contact.first:.1f} s. On the bench {parts} lie in different layers and pass each other, so the "
+                f"robot moves differently there"
+            )
+            findings.append(KitFinding("warning" if contact.share > _BRIEF_CONTACT else "note", where, message))
+    floating, tank = floating_of(kit, fluid_density=choices.scaling.fluid_density), source.settings.tank
+    # Without a tank the kit floats in slush of the simulated depth, at its scale.
     depth_mm = source.depth * settings.scale_mm_per_m if tank is None else 1000 * tank.depth
-    findings = (
-        *refused,
-        *bench_checks.check_loads(loads if simulated is not None else None, servo, choices),
-        *bench_checks.check_contacts(contacts),
-        *bench_checks.check_floating(floating, depth_mm),
-        *bench_checks.check_scale(tank, settings.scale_mm_per_m),
-        *bench_checks.check_predictions(source.predicted, source.true_slush),
-    )
+    about_robot = list(check_floating(floating, depth_mm))
+    if tank is not None and not isclose(1000 * tank.scale, settings.scale_mm_per_m):
+        expected = f"{1000 * tank.scale:g}"
+        about_robot.append(
+            f"the kit has {settings.scale_mm_per_m:g} mm per metre of simulation, the tank of its settings {expected} "
+            f"mm. Results from that tank do not apply to this kit; to match it, --set kit.scale_mm_per_m={expected}"
+        )
+    about_robot += check_predictions(source.predicted, source.true_slush)
+    findings += [KitFinding("warning", "robot", message) for message in about_robot]
     return Bench(
         scales=scales,
         servo=servo,
@@ -116,7 +124,7 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
         floating=floating,
         calibration=calibration,
         timeline=timeline,
-        findings=findings,
+        findings=tuple(findings),
     )
 
 
@@ -159,3 +167,69 @@ def _calibration_of(kit: Kit) -> Calibration | None:
                 )
             )
     return Calibration(servos=tuple(servos)) if servos else None
+
+
+_ADVICE = {
+    "gait": "Choose a servo with more travel or speed (--set kit.servo=...), another scaling.law, or another design",
+    "speed": "Choose a faster servo (--set kit.servo=...), or --set scaling.law=kept_frequencies",
+    "torque": "Choose a stronger servo (--set kit.servo=...), or --set kit.servos_per_joint=2",
+}
+
+
+def check_loads(loads: Sequence[JointLoad], servo: Servo) -> Iterator[KitFinding]:
+    """Check the loads of a simulated run against a servo, in order of the joints."""
+    for load in loads:
+        where = f"joint {load.joint}"
+        speed, torque = load.peak_speed / servo.no_load_speed_rad_s, load.peak_torque / servo.stall_torque_nm
+        advice = _ADVICE["speed" if speed > torque else "torque"]
+        if load.use > 1:
+            message = (
+                f"the servo is too weak or too slow: at the worst instant the run needs {load.use:.2f} times what a "
+                f"{servo.name} gives (needs up to {load.peak_torque:.2f} N·m and {load.peak_speed:.1f} rad/s; has "
+                f"{servo.stall_torque_nm:.2f} N·m at stall, {servo.no_load_speed_rad_s:.1f} rad/s unloaded). {advice}"
+            )
+            yield KitFinding("fault", where, message)
+        elif load.margin < _MIN_MARGIN:
+            message = (
+                f"at the worst instant a {servo.name} gives {load.margin:.2f} times what the run needs, expected at "
+                f"least {_MIN_MARGIN:g} because real servos give less than their data sheet. {advice}"
+            )
+            yield KitFinding("warning", where, message)
+        if load.stall_share > CONTINUOUS_SHARE:
+            message = (
+                f"needs {load.stall_share:.0%} of the stall torque (root mean square); above {CONTINUOUS_SHARE:.0%} a "
+                f"hobby servo overheats within minutes"
+            )
+            yield KitFinding("warning", where, message)
+        at_limit = f"the simulated motor was at its torque limit in {load.saturated:.0%} of the run"
+        if load.saturated > _SATURATION_WARNING:
+            message = f"{at_limit}: the torques given for this joint are a lower bound"
+            yield KitFinding("warning", where, message)
+        elif load.saturated > _SATURATION_NOTE:
+            yield KitFinding("note", where, f"{at_limit}: a stronger servo moves differently there")
+
+
+def check_floating(floating: Floating, tank_mm: float) -> Iterator[str]:
+    """Say what keeps the kit from floating in a tank of a depth [mm]."""
+    if floating.draught_mm is not None and floating.draught_mm > tank_mm:
+        yield f"stands on the floor of a {tank_mm:.0f} mm deep tank: its draught is {floating.draught_mm:.0f} mm"
+    if floating.sealed_share > 1:
+        yield f"sinks: it weighs {floating.sealed_share:.2f} times the fluid that it displaces"
+    elif floating.flooded_share > 1:
+        yield (
+            f"floats while its pockets are dry, but sinks once they are full: it then weighs "
+            f"{floating.flooded_share:.2f} times the displaced fluid. Seal the pockets"
+        )
+
+
+def check_predictions(displacements: Sequence[float] | None, true_slush: float | None) -> Iterator[str]:
+    """Check the (n_members) displacements [m of simulation] that an ensemble predicts, also against True Slush's."""
+    if displacements is None:
+        return
+    mean, deviation = float(np.mean(displacements)), float(np.std(displacements))
+    predicted = f"{mean:+.2f} ± {deviation:.2f} m of simulation"
+    if deviation > abs(mean):
+        yield f"the study's networks disagree on its displacement: {predicted}"
+    if true_slush is not None and abs(mean - true_slush) > _MAX_DEVIATIONS * deviation:
+        truth = f"{true_slush:+.2f} m, more than {_MAX_DEVIATIONS:g} σ away"
+        yield f"the study's networks predict {predicted}, but True Slush gives {truth}"

@@ -2,61 +2,40 @@
 
 ::
 
-    robot.png  drawing.svg  drawing.pdf  drawing.png  bill.csv  robot.step
-    print/PART.stl  print/PART.3mf      one piece or gauge each, oriented for printing
-    cad/PART.step                       one piece each, in place in the robot
-    profiles/PART.dxf                   outline, bores and pockets of one copy of a part
+    robot.svg  drawing.svg  drawing.pdf  bill.csv  robot.step
+    print/PART.stl       one piece or gauge each, oriented for printing [mm]
+    cad/PART.step        one piece each, in place in the robot
 """
 
 import csv
 import io
+import re
+from collections.abc import Sequence
+from copy import copy
+from itertools import count
 
-from PIL import ImageColor
+import numpy as np
+from build123d import Compound, Shape, export_step
 
-from pipeline.fabrication.assembly_drawing import PART_COLOURS, assembly_drawing
-from pipeline.fabrication.formats import dxf, step, stl, three_mf
-from pipeline.fabrication.picture import Colour, picture
-from tasks.fabrication.features import Feature
+from pipeline.fabrication.assembly_drawing import assembly_drawing, perspective
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import Mesh, mesh_of, on_bed
 
-_BOUGHT_COLOURS: dict[str, Colour] = {
-    "servo": (62, 62, 70),
-    "horn": (214, 188, 96),
-    "rod": (196, 200, 206),
-    "pin": (196, 200, 206),
-}
+_EPOCH = "1980-01-01T00:00:00"  # instead of the time of writing
+_OCCURRENCE = re.compile(rb"(NEXT_ASSEMBLY_USAGE_OCCURRENCE)\('\d+'([^;]*;)")
 
 
 def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
-    """Make a kit's files, by name.
-
-    Args:
-        kit: The kit.
-        title: Title of the drawing.
-        n_faults: Number of faults, for the drawing's warning.
-
-    Returns:
-        Contents by path inside the kit's folder.
-    """
-    meshes = [mesh_of(part.solid) for part in kit.parts]
-    files = {"robot.png": _picture(kit, meshes), "bill.csv": _bill_csv(kit)}
-    files |= {f"drawing.{form}": content for form, content in assembly_drawing(kit, title, n_faults).items()}
-    everything = [(part.name, part.solid) for part in kit.parts] + [(item.name, item.solid) for item in kit.bought]
-    files["robot.step"] = step(everything, "robot")
-    for part, mesh in zip(kit.parts, meshes, strict=True):
-        lying = on_bed(part, mesh)
-        files[f"print/{part.name}.stl"] = stl(lying)
-        files[f"print/{part.name}.3mf"] = three_mf([(part.name, lying)])
-        files[f"cad/{part.name}.step"] = step([(part.name, part.solid)], part.name)
+    """Make a kit's files, by path inside its folder, with the drawing's title and its warning of faults."""
+    solids = [*((part.name, part.solid) for part in kit.parts), *((item.name, item.solid) for item in kit.bought)]
+    robot = compound(solids, "robot")
+    files = {"bill.csv": _bill_csv(kit), "robot.step": step(robot), "robot.svg": perspective(robot)}
+    files |= {f"drawing.{form}": sheet for form, sheet in assembly_drawing(kit, robot, title, n_faults).items()}
+    for part in kit.parts:
+        files[f"print/{part.name}.stl"] = stl(on_bed(part, mesh_of(part.solid)))
+        files[f"cad/{part.name}.step"] = step(compound([(part.name, part.solid)], part.name))
     for gauge in kit.gauges:
-        mesh = mesh_of(gauge.solid)
-        mesh = Mesh(mesh.vertices - mesh.vertices.min(axis=0), mesh.triangles)
-        files[f"print/{gauge.name}.stl"] = stl(mesh)
-        files[f"print/{gauge.name}.3mf"] = three_mf([(gauge.name, mesh)])
-    for (body, side), features in kit.features.items():
-        cuts = [Feature("cut", "cut", cut, 0.0, kit.settings.thickness_mm) for cut in kit.splits[body].cuts]
-        files[f"profiles/part-{body + 1}-{side}.dxf"] = dxf(kit.profiles[body], features, cuts)
+        files[f"print/{gauge.name}.stl"] = stl(mesh_of(gauge.solid).on_bed())
     return files
 
 
@@ -71,10 +50,37 @@ def _bill_csv(kit: Kit) -> bytes:
     return text.getvalue().encode()
 
 
-def _picture(kit: Kit, meshes: list[Mesh]) -> bytes:
-    parts: list[Colour] = [ImageColor.getrgb(colour)[:3] for colour in PART_COLOURS]
-    shown = [(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
-    shown += [(mesh_of(item.solid), _BOUGHT_COLOURS[item.kind]) for item in kit.bought]
-    kinds = dict.fromkeys(item.kind for item in kit.bought if item.kind in ("servo", "rod"))
-    legend = [(body.name, parts[body.index % len(parts)]) for body in kit.mechanism.bodies]
-    return picture(shown, [*legend, *((kind, _BOUGHT_COLOURS[kind]) for kind in kinds)])
+def compound(solids: Sequence[tuple[str, Shape]], label: str) -> Shape:
+    """Join named solids into a labelled one."""
+    children = []
+    for name, solid in solids:
+        named = copy(solid)
+        named.label = name
+        children.append(named)
+    return children[0] if len(children) == 1 else Compound(label=label, children=children)
+
+
+def step(shape: Shape) -> bytes:
+    """Encode a shape as STEP AP214 with a fixed time stamp.
+
+    The CAD kernel numbers the occurrences of parts throughout the process; here they count from 1.
+    """
+    buffer = io.BytesIO()
+    export_step(shape, buffer, timestamp=_EPOCH)
+    numbers = count(1)
+
+    def renumbered(record: re.Match[bytes]) -> bytes:
+        return b"%s('%d'%s" % (record[1], next(numbers), re.sub(rb"\n *", b"", record[2]))  # on one line of any length
+
+    return _OCCURRENCE.sub(renumbered, buffer.getvalue())
+
+
+def stl(mesh: Mesh) -> bytes:
+    """Encode a mesh as binary STL [mm]."""
+    corners = mesh.vertices[mesh.triangles].astype("<f4")
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    facets = np.zeros(len(corners), dtype=record)
+    facets["normal"], facets["corners"] = normals, corners
+    return b"puddle".ljust(80, b"\0") + np.uint32(len(corners)).tobytes() + facets.tobytes()

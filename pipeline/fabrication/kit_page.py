@@ -18,17 +18,14 @@ from pipeline.report.moving import document
 from pipeline.report.page import inline_svg
 from pipeline.report.wording import absent
 from pipeline.text import escape
-from tasks.arrays import Floats, Int64
 from tasks.fabrication.checks import KitFinding
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.kit_settings import FabricationSettings
-from tasks.fabrication.scaling import line_use
 from tasks.fabrication.servos import MEASURES
 from tasks.world import Physics
 
 _JOINT_COLOURS = ("#1c6fb8", "#dd7700", "#1d6b3c", "#7d4aa5", "#c2185b")
 _SHOWN = 20.0  # of the timeline [s]
-_POINTS = 1500  # of the run, about: the worst instant of as many equal spans
 _POLICY = "img-src 'self' data: file:"  # the kit's pictures lie beside its page
 TEMPLATES = Environment(loader=PackageLoader("pipeline.fabrication", ""), autoescape=True, undefined=StrictUndefined)
 
@@ -43,20 +40,7 @@ def render_kit(
     physics: Physics,
     folder: str,
 ) -> str:
-    """Render the page.
-
-    Args:
-        kit: The kit.
-        bench: Loads, floating and timeline.
-        source: Design and its origin.
-        choices: Settings of the kit.
-        findings: Findings of the kit and the bench, faults first.
-        physics: Physics of the simulation.
-        folder: Name of the kit on a command line.
-
-    Returns:
-        The HTML document.
-    """
+    """Render the page of a kit in a folder of that name, with the findings of kit and bench, faults first."""
     title = f"A robot to build: {source.name}"
     slush_density = source.settings.slush.density
     body = TEMPLATES.get_template("kit.html").render(
@@ -111,28 +95,20 @@ def _torque(bench: Bench) -> tuple[Figure, str]:
         raise NothingToDraw("no joint has a servo")
     figure = Figure(figsize=(FIGURE_WIDTH, 3.3), layout="constrained")
     axes = figure.subplots()
-    every = max(1, len(bench.simulated.torque) // _POINTS)
     for column, (load, colour) in enumerate(zip(bench.loads, _JOINT_COLOURS, strict=False)):
         torque = bench.simulated.torque[:, column] * bench.scales.torque / bench.servos_per_joint
         speed = bench.simulated.speed[:, column] * bench.scales.frequency
-        shown = worst_of_each(line_use(torque, speed, bench.servo), every)
-        x, y = (np.sign(torque) * speed)[shown], np.abs(torque)[shown]
-        axes.plot(x, y, ".", ms=2.5, color=colour, alpha=0.6, label=f"joint {load.joint}")
+        in_sense = np.sign(torque) * speed
+        axes.plot(in_sense, np.abs(torque), ".", ms=2.5, color=colour, alpha=0.6, label=f"joint {load.joint}")
     fastest, stall = bench.servo.no_load_speed_rad_s, bench.servo.stall_torque_nm
     axes.plot([-fastest, 0, fastest], [stall, stall, 0], color=INK, label=bench.servo.name)
     axes.set(xlabel="speed in the direction of the torque [rad/s]", ylabel="torque per servo [N·m]", ylim=(0, None))
     axes.grid(True, color=FAINT)
     figure.legend(loc="outside upper center", ncols=3, markerscale=4, fontsize=9)
-    instants = "every time step" if every == 1 else f"the worst of every {every} time steps"
     return figure, (
-        f"The simulated run at bench scale ({instants}) and the torque–speed line of a {bench.servo.name}, from stall "
-        f"to no load. Left of zero the environment moves the joint and the servo brakes."
+        f"The simulated run at bench scale and the torque–speed line of a {bench.servo.name}, from stall to no load. "
+        f"Left of zero the environment moves the joint and the servo brakes."
     )
-
-
-def worst_of_each(use: Floats, every: int) -> Int64:
-    """Return the (⌈n_steps / every⌉,) indices of the largest use (n_steps,) in each span of a run."""
-    return np.array([start + int(use[start : start + every].argmax()) for start in range(0, len(use), every)])
 
 
 def _timeline(bench: Bench) -> tuple[Figure, str]:

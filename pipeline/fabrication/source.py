@@ -1,6 +1,5 @@
 """The source of a kit's design: a file, or the champion of a study that the paper's rule selects."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,19 +7,13 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.stages import STAGES, environments
-from pipeline.stages.data_sets import data_set_of, main_data_set
-from pipeline.stages.environments import WEIGHTS
-from pipeline.stages.transfer import CHAMPION, read_scores
-from pipeline.store.design_file import design_from, read_design
-from pipeline.store.encoding import decode_json
-from pipeline.store.store import Store
-from pipeline.workflow.identity import TrialId, arms_of
-from pipeline.workflow.recorded import recorded_results
-from pipeline.workflow.stage import Execution, MissingInputs, Results
+from pipeline.results.recorded_study import Study
+from pipeline.store.design_file import read_design
+from pipeline.workflow.stage import MissingInputs
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
-from tasks.simulation import OK
+from tasks.simulation import OK, simulate
+from tasks.world import ResidualSlush
 
 _PHYSICAL_DEPTH = 2.0  # of the slush in which a design file is simulated [m]; paper, "Physical Validation"
 
@@ -56,70 +49,44 @@ def from_file(path: Path, settings: Settings) -> DesignSource:
     return DesignSource(read_design(path), path.stem, origin, settings, _PHYSICAL_DEPTH, None)
 
 
-def proposed(settings: Settings, store: Store) -> DesignSource:
+def proposed(study: Study) -> DesignSource:
     """Select the champion whose True Slush score is nearest the mean of its arm. Paper, "Physical Validation".
 
-    The arm is Residual Slush if the study has it, at its greatest depth. Raises PuddleError if no champion has been
-    scored or survived, or an item of the study is damaged.
+    The arm is Residual Slush if the study has it, at its greatest depth. Raises PuddleError if a champion has not been
+    scored, which would shift the mean, or none survived.
     """
-    with store.lock_to_read():
-        return _proposed(settings, store)
-
-
-def _proposed(settings: Settings, store: Store) -> DesignSource:
-    damage: list[str] = []
-    record = store.read_study(settings.name)
-    upstream = recorded_results(settings, record, STAGES, store, say=damage.append).upstream
-    if damage:  # a missing trial would shift the mean and select another champion
-        raise PuddleError(damage[0])
-    found = read_scores(settings, upstream["transfer"], store).items()
-    scored = {trial: scores for trial, scores in found if scores is not None and np.isfinite(scores.zero_shot)}
-    if not scored:
-        raise PuddleError(
-            f"study {settings.name!r}: no champion has a score in True Slush yet. Run `puddle study` first."
-        )
-    arms = arms_of(list(scored))
-    arm = min(arms, key=lambda arm: (arm.environment != "residual_slush", -arm.depth, arm.environment))
-    trials = arms[arm]
-    zero_shot = np.array([scored[trial].zero_shot for trial in trials])
-    chosen = nearest_the_mean(zero_shot)
-    if chosen is None:
-        raise PuddleError(f"study {settings.name!r}: no champion survived True Slush")
-    trial = trials[chosen]
-    design = design_from(
-        decode_json(store.read(upstream["transfer"].chain(trial)[-1], CHAMPION), trial.label), trial.label
-    )
+    if n_missing := study.progress["transfer"].missing:
+        raise PuddleError(f"study {study.name!r}: {n_missing} champions have no score yet. Run `puddle study` first.")
+    rows = [row for row in study.champions().to_pylist() if row["zero_shot"] is not None]
+    champions = [row for row in rows if np.isfinite(row["zero_shot"])]
+    if not champions:
+        raise PuddleError(f"study {study.name!r}: no champion survived True Slush")
+    arms = {(row["environment"], row["depth"]) for row in champions}
+    environment, depth = min(arms, key=lambda arm: (arm[0] != "residual_slush", -arm[1], arm[0]))
+    rows = [row for row in champions if (row["environment"], row["depth"]) == (environment, depth)]
+    zero_shot = np.array([row["zero_shot"] for row in rows])
+    chosen = nearest_the_mean(zero_shot) or 0  # there is one, because all scores are finite
+    trial = rows[chosen]["trial"]
+    design = study.champion(environment, depth=depth, trial=trial)
     origin = (
-        f"Champion of trial {trial.index} of study {settings.name}, evolved in {arm.environment.replace('_', ' ')} at "
-        f"{arm.depth:g} m. It scores {zero_shot[chosen]:+.2f} m in True Slush, nearest to the mean of {len(trials)} "
-        f"champions, {zero_shot.mean():+.2f} m."
+        f"Champion of trial {trial} of study {study.name}, evolved in {environment.replace('_', ' ')} at {depth:g} m. "
+        f"It scores {zero_shot[chosen]:+.2f} m in True Slush, nearest to the mean of {len(rows)} champions, "
+        f"{zero_shot.mean():+.2f} m."
     )
-    return DesignSource(
-        design,
-        f"{settings.name}-trial-{trial.index}",
-        origin,
-        settings,
-        arm.depth,
-        _predictions(settings, upstream, store, design, trial),
-        scored[trial].zero_shot,
-    )
+    name, predicted = f"{study.name}-trial-{trial}", _predictions(study, design, depth, trial)
+    return DesignSource(design, name, origin, study.settings, depth, predicted, float(zero_shot[chosen]))
 
 
-def _predictions(
-    settings: Settings, upstream: Mapping[str, Results], store: Store, design: Designs, trial: TrialId
-) -> tuple[float, ...] | None:
-    """Simulate a trial's design under every member of the ensemble that serves it, if there is one."""
-    if not settings.needs_ensemble:
+def _predictions(study: Study, design: Designs, depth: float, trial: int) -> tuple[float, ...] | None:
+    """Simulate a trial's design under every member of the ensemble of its data set, if there is one."""
+    if not study.settings.needs_ensemble:
         return None
     try:
-        data_set = data_set_of(trial, main_data_set(settings).group)
-        inputs = environments.ensemble_inputs(settings, data_set, upstream)
-    except (MissingInputs, KeyError):
+        ensemble = study.ensemble(replicate=trial % study.settings.replicates)
+    except MissingInputs:
         return None
-    files = {name: {WEIGHTS: store.read(source.manifest, WEIGHTS)} for name, source in inputs.items()}
-    environment = environments.build_environment({}, "residual_slush", trial.depth, files)
-    simulation = environments.simulation_spec(settings, "residual_slush")
-    rollouts = environments.roll_out(simulation, Execution(settings.work.engine), environment, design)
-    if not (rollouts.status == OK).all():
-        return None
-    return tuple(float(value) for value in rollouts.displacement[:, 0])
+    settings = study.settings
+    rollouts = simulate(
+        design, ResidualSlush(depth, ensemble), physics=settings.physics, **settings.rollout.model_dump()
+    )
+    return tuple(rollouts.displacement[:, 0].tolist()) if (rollouts.status == OK).all() else None

@@ -12,6 +12,7 @@ from pathlib import Path
 import yaml
 
 from pipeline.errors import PuddleError
+from pipeline.fabrication.kit_files import write_folder
 from pipeline.fabrication.make_kit import require_cad
 from pipeline.store.owned_folder import FolderKind
 from pipeline.vision import require_vision
@@ -30,28 +31,19 @@ _POLICY = "img-src 'self' data: file:"  # the kit's pictures lie beside its page
 
 
 def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
-    """Make a kit of bars to throw.
+    """Make a kit of bars to throw in a folder that is new or a throwing kit. Returns lines for the terminal.
 
-    Args:
-        choices: settings of the kit, its scale and its bars.
-        out: the folder, new or a throwing kit to replace.
-
-    Returns:
-        Lines for the terminal.
-
-    Raises:
-        PuddleError: a bar can't be made, or a package is missing. Nothing was written.
+    Raises PuddleError if a bar can't be made, or a package is missing; nothing was written.
     """
     require_vision()
     require_cad()
     place = THROWING_KIT.check_place(out)
-    from pipeline.fabrication.formats import stl, three_mf
+    from pipeline.fabrication.exports import stl
     from pipeline.fabrication.kit_page import TEMPLATES
     from pipeline.report.moving import document
     from pipeline.vision.kit_markers import markers_of
     from pipeline.vision.tag_sheets import tag_sheets
-    from tasks.fabrication.bar_solids import plate_of
-    from tasks.fabrication.parts import mesh_of
+    from tasks.fabrication.parts import mesh_of, plate_of
 
     settings, throwing = choices.kit, choices.throwing
     try:
@@ -63,9 +55,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     throws = _throws(bars, settings.scale_mm_per_m / 1000, lowest=-throwing.waterline, highest=highest)
     made = tag_sheets(markers, [bar.name for bar in bars])
     for bar in bars:
-        mesh = mesh_of(plate_of(bar, settings))
-        mesh = type(mesh)(mesh.vertices - mesh.vertices.min(axis=0), mesh.triangles)
-        made |= {f"print/{bar.name}.stl": stl(mesh), f"print/{bar.name}.3mf": three_mf([(bar.name, mesh)])}
+        made[f"print/{bar.name}.stl"] = stl(mesh_of(plate_of(bar, settings)).on_bed())
     made["bars.csv"], made["throws.csv"] = _bars_csv(bars), _csv(_THROW, throws)
     made[MARKERS] = (_HEADING + yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)).encode()
     body = TEMPLATES.get_template("throwing_kit.html").render(
@@ -80,15 +70,13 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     )
     css = package_files("pipeline.fabrication").joinpath("kit.css").read_text("utf-8")
     made["index.html"] = document(title="Bars to throw", policy=_POLICY, body=body, css=f"\n{css}").encode()
-    with THROWING_KIT.replace(place, {"settings": choices.model_dump(mode="json")}) as new:
-        for name, content in made.items():
-            new.write(name, content)
+    preserved = write_folder(THROWING_KIT, place, made, {"settings": choices.model_dump(mode="json")})
     lines = [
         f"{bar.name}: {bar.length_mm:.0f} × {bar.width_mm:.0f} mm, {bar.mass_g:.0f} g: two plates of {bar.plate_g:.0f} "
         f"g ({bar.infill:.0%} infill), rods of {bar.rods_g:.0f} g at ±{bar.rod_at_mm:.0f} mm, {bar.trim_g:+.1f} g there"
         for bar in bars
     ]
-    return [*new.preserved, *lines, f"Bars to throw, tags and protocol: {out / 'index.html'}"]
+    return [*preserved, *lines, f"Bars to throw, tags and protocol: {out / 'index.html'}"]
 
 
 def _bars_csv(bars: tuple[ThrowingBar, ...]) -> bytes:

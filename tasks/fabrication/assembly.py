@@ -53,10 +53,7 @@ class Assembly:
         return (not outer, inward) if side == "left" else (outer, self.settings.pitch_mm - inward)
 
     def direction(self, joint: int, side: str) -> Sense:
-        """Return 1 if longer pulses turn a joint's child link counter-clockwise, seen with x to the right; else -1.
-
-        The joint is given by the number of its child link, the servo by its pontoon, left or right.
-        """
+        """Return 1 if longer pulses turn a joint (its child link) counter-clockwise, x to the right; else -1."""
         servo_joint = next(servo_joint for servo_joint in self.servo_joints if servo_joint.joint.link == joint)
         return servo_joint.direction(carrier_is_outer=self.layers.outer[servo_joint.carrier], side=side)
 

@@ -67,20 +67,15 @@ class Mechanism:
 
     def path(self, start: int, end: int) -> list[tuple[TurningJoint, int]]:
         """List the joints from one body to another, with 1 where the path leads to the child and -1 elsewhere."""
-        above = {joint.child: joint for joint in self.joints}
-
-        def to_root(body: int) -> list[TurningJoint]:
-            chain = []
-            while body in above:
-                chain.append(above[body])
-                body = above[body].parent
-            return chain
-
-        up, down = to_root(start), to_root(end)
-        while up and down and up[-1] is down[-1]:
-            up.pop()
-            down.pop()
-        return [(joint, -1) for joint in up] + [(joint, 1) for joint in reversed(down)]
+        above, up, down = {joint.child: joint for joint in self.joints}, [], []
+        while start != end:  # a child has a greater index than its parent
+            if start > end:
+                up.append((above[start], -1))
+                start = above[start].parent
+            else:
+                down.append((above[end], 1))
+                end = above[end].parent
+        return up + down[::-1]
 
     def poses_in_gait(self, seen_from: int, body: int) -> list[Pose]:
         """Sample a body's poses relative to another over one period of the gait, at full and at rising amplitude."""
@@ -136,9 +131,7 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
         half_w, half_h = scale / length[link] / 2, scale * length[link] / 2
         upright = affinity.rotate(box(-half_w, -half_h, half_w, half_h), angle[link], origin=(0, 0), use_radians=True)
         links.append(affinity.translate(upright, scale * x[link], scale * y[link]))
-    body_of = [0] * N_LINKS
-    members: list[list[int]] = [[0]]
-    depth = [0]
+    body_of, members, depth = [0] * N_LINKS, [[0]], [0]
     joints = []
     for link in range(1, N_LINKS):
         above = int(parent[link])
@@ -151,18 +144,8 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
         depth.append(depth[body_of[above]] + 1)
         along = design.child_attachment[0, link] * length[link] / 2
         at = (scale * (x[link] - np.sin(angle[link]) * along), scale * (y[link] + np.cos(angle[link]) * along))
-        joints.append(
-            TurningJoint(
-                link=link,
-                parent_link=above,
-                parent=body_of[above],
-                child=body_of[link],
-                at=(float(at[0]), float(at[1])),
-                rest_angle=float(design.rest_angle[0, link]),
-                motion_range=float(design.motion_range[0, link]),
-                phase=float(design.phase[0, link]),
-            )
-        )
+        genes = (float(gene[0, link]) for gene in (design.rest_angle, design.motion_range, design.phase))
+        joints.append(TurningJoint(link, above, body_of[above], body_of[link], (float(at[0]), float(at[1])), *genes))
     bodies = tuple(
         RigidPart(index, tuple(body_links), depth[index], unary_union([links[link] for link in body_links]))
         for index, body_links in enumerate(members)

@@ -45,14 +45,11 @@ class ServoCalibration(Parameters):
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
+        limits = f"min_us is {self.min_us:g} and max_us is {self.max_us:g}"
         if self.min_us >= self.max_us:
-            raise ValueError(
-                f"min_us is {self.min_us:g} and max_us is {self.max_us:g}, expected min_us < max_us. Are they swapped?"
-            )
+            raise ValueError(f"{limits}, expected min_us < max_us. Are they swapped?")
         if not self.min_us <= self.centre_us <= self.max_us:
-            raise ValueError(
-                f"centre_us is {self.centre_us:g}, expected min_us to max_us, {self.min_us:g} to {self.max_us:g}"
-            )
+            raise ValueError(f"centre_us is {self.centre_us:g}, but {limits}, expected a value between them")
         return self
 
     @property

@@ -6,7 +6,7 @@ different layers pass each other: if their links touched in the simulated run, t
 """
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -34,27 +34,17 @@ class PassingContact:
 def passing_contacts(
     design: Designs, mechanism: Mechanism, layers: Layers, pose: Floats, *, time_step: float
 ) -> list[PassingContact]:
-    """Find the contacts of a run that a kit does not have.
+    """Find the contacts of a run of one design that a kit does not have, longest first.
 
-    Args:
-        design: One design.
-        mechanism: Its parts.
-        layers: Layers of the parts.
-        pose: (n_steps, n_links, 3) x, y [m] and angle [rad] of every link after each step.
-        time_step: Time step of the simulation [s].
-
-    Returns:
-        The contacts, longest first.
+    ``pose`` is (n_steps, n_links, 3): x, y [m] and angle [rad] of every link after each step.
     """
     outlines = _outlines(design.length_scale[0], pose.astype(np.float64))
     found = []
     for a, b in combinations(mechanism.bodies, 2):
-        if layers.outer[a.index] == layers.outer[b.index]:
-            continue
         joints = tuple(joint.link for joint, _ in mechanism.path(a.index, b.index))
-        for first, second in ((min(i, k), max(i, k)) for i in a.links for k in b.links):
-            if mechanism.parent_link[second] == first:
-                continue  # joined links never collide
+        for first, second in map(sorted, product(a.links, b.links)):
+            if layers.outer[a.index] == layers.outer[b.index] or mechanism.parent_link[second] == first:
+                continue  # in one layer; joined links never collide
             touching = shapely.distance(outlines[:, first], outlines[:, second]) <= _TOUCHING_DISTANCE
             if touching.any():
                 share, start = float(touching.mean()), float(touching.argmax() + 1) * time_step

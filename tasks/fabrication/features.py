@@ -6,6 +6,7 @@ solid, its analytic volume, the DXF and the check of walls.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from shapely import Point as ShapelyPoint
 from shapely import Polygon
@@ -89,11 +90,9 @@ def cradle_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feat
         Feature("pocket", group, servo_joint.pocket, 0.0, floor),
         Feature("case", group, servo_joint.case, floor, thickness),
     ]
-    features += [
-        _bore("ear screw", group, at, _PILOT * servo.ear_screw_mm, floor, thickness) for at in servo_joint.ear_holes()
-    ]
-    features += [Feature("cable", group, way, 0.0, _NOTCH_DEPTH_MM) for way in servo_joint.cable_ways]
-    return features
+    pilot = _PILOT * servo.ear_screw_mm
+    features += [_bore("ear screw", group, at, pilot, floor, thickness) for at in servo_joint.ear_holes()]
+    return features + [Feature("cable", group, way, 0.0, _NOTCH_DEPTH_MM) for way in servo_joint.cable_ways]
 
 
 def horn_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feature]:
@@ -136,13 +135,11 @@ def horn_seat_mm(servo_joint: ServoJoint, settings: KitSettings) -> float:
     return settings.thickness_mm - (servo_joint.horn.top_mm - settings.layer_gap_mm)
 
 
-@dataclass(frozen=True)
-class HornScrew:
+class HornScrew(NamedTuple):
     """A screw that holds a part on its horn."""
 
     length_mm: int
     web_mm: float  # plastic that it passes through; its head is sunk into the rest
-    engaged_mm: float  # length of its thread in the horn
 
 
 def horn_screw(servo_joint: ServoJoint, settings: KitSettings) -> HornScrew:
@@ -154,7 +151,7 @@ def horn_screw(servo_joint: ServoJoint, settings: KitSettings) -> HornScrew:
     for length in SCREW_LENGTHS_MM:
         web = min(length - horn.thickness_mm - _TIP_MM, seat)
         if web >= _MIN_WEB_MM and length - web <= horn.top_mm - _TIP_MM:
-            return HornScrew(length, web, min(length - web, horn.thickness_mm))
+            return HornScrew(length, web)
     raise KitError(
         f"servo {servo_joint.servo.name}: no screw of {SCREW_LENGTHS_MM[0]} to {SCREW_LENGTHS_MM[-1]} mm holds a "
         f"{horn.kind} horn {horn.thickness_mm:g} mm thick that ends {horn.top_mm:g} mm above the case. It must pass "
@@ -162,28 +159,10 @@ def horn_screw(servo_joint: ServoJoint, settings: KitSettings) -> HornScrew:
     )
 
 
-def _pin_bore(servo_joint: ServoJoint, settings: KitSettings, *, turning: bool) -> Feature:
-    """Return the bore of the pin that replaces the servo in the other pontoon."""
-    clearance = settings.pivot_clearance_mm if turning else settings.rod_clearance_mm
-    group = f"pin of joint {servo_joint.joint.link}"
-    return _bore("pin", group, servo_joint.joint.at, settings.rod_mm + clearance, 0.0, settings.thickness_mm)
-
-
 def features_of(
     body: int, side: str, servo_joints: Sequence[ServoJoint], rods: Sequence[Point], settings: KitSettings
 ) -> tuple[Feature, ...]:
-    """List the features of one copy of a part.
-
-    Args:
-        body: Index of the part.
-        side: Pontoon, left or right.
-        servo_joints: Servo joints of the whole robot.
-        rods: Positions of this part's rods.
-        settings: Settings of the kit.
-
-    Returns:
-        The pockets and bores.
-    """
+    """List the pockets and bores of a part's copy in one pontoon, left or right, with its rods."""
     features: list[Feature] = []
     for servo_joint in servo_joints:
         if body not in (servo_joint.carrier, servo_joint.driven):
@@ -192,7 +171,9 @@ def features_of(
         if side in servo_joint.sides(settings.servos_per_joint):
             features += cradle_features(servo_joint, settings) if carries else horn_features(servo_joint, settings)
         else:
-            features.append(_pin_bore(servo_joint, settings, turning=not carries))
+            diameter = settings.rod_mm + (settings.rod_clearance_mm if carries else settings.pivot_clearance_mm)
+            group = f"pin of joint {servo_joint.joint.link}"
+            features.append(_bore("pin", group, servo_joint.joint.at, diameter, 0.0, settings.thickness_mm))
     for number, rod in enumerate(rods, 1):
         diameter = settings.rod_mm + settings.rod_clearance_mm
         features.append(_bore("rod", f"rod {number}", rod, diameter, 0.0, settings.thickness_mm))

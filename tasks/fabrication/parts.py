@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import cos, degrees, radians, sin
+from typing import Self
 
 import numpy as np
 from build123d import Axis, Box, Cylinder, Face, Location, Plane, Shape, Sketch, Solid, Wire, extrude, mirror
@@ -18,6 +19,7 @@ from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.profile import Profile, SolidError, cradle_boss, horn_boss, polygon_of
 from tasks.fabrication.servo_joints import ServoJoint
 from tasks.fabrication.splits import bed_mm, turn_to_fit
+from tasks.fabrication.throwing_bars import ThrowingBar
 
 _VOLUME_TOLERANCE = 5e-4  # relative; the analytic volume uses chords for arcs
 _MESH_MM, _MESH_RAD = 0.05, 0.2  # largest distance of a mesh from a curved face, and turn between its facets
@@ -66,6 +68,10 @@ class Mesh:
     vertices: Float64  # (n_vertices, 3) positions [mm]
     triangles: Int64  # (n_triangles, 3) indices of vertices
 
+    def on_bed(self) -> Self:
+        """Return the mesh with its lowest corner at the origin."""
+        return replace(self, vertices=self.vertices - self.vertices.min(axis=0))
+
 
 def parts_of(assembly: Assembly) -> list[Part]:
     """Make both copies of all parts, in pieces if they are split. Raises SolidError as :func:`gauges_of`."""
@@ -102,12 +108,8 @@ def gauges_of(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> tupl
     """Make two small prints that show whether servo and horn fit before the parts are printed; none without a servo.
 
     The gauges are slices of the kit's own parts: the plate that the ears are screwed to with a rim of the pocket, and
-    the horn's recess with the plastic under it. If they fit, the parts fit; if not, put your measurements into
-    ``kit.measured``. With servo and horn in place, the gap between the gauges equals the gap between the layers.
-
-    Raises:
-        KitError: The part is too thin for the servo or its horn.
-        SolidError: The CAD kernel made a solid that does not match the outlines.
+    the horn's recess with the plastic under it. With servo and horn in place, the gap between the gauges equals the gap
+    between the layers. Raises SolidError if the CAD kernel made a solid that does not match the outlines.
     """
     if not servo_joints:
         return ()
@@ -214,6 +216,14 @@ def _rod(at: tuple[float, float], diameter: float, low: float, length: float) ->
     return Solid.make_cylinder(diameter / 2, length, Plane((*at, low)))
 
 
+def plate_of(bar: ThrowingBar, settings: KitSettings) -> Solid:
+    """Return the plate of a bar to throw, lying with its centre at the origin and its long axis along y."""
+    thick, diameter = settings.thickness_mm, settings.rod_mm + settings.rod_clearance_mm
+    plate = Solid.make_box(bar.width_mm, bar.length_mm, thick, Plane((-bar.width_mm / 2, -bar.length_mm / 2, 0.0)))
+    (whole,) = plate.cut(*(_rod((0.0, sign * bar.rod_at_mm), diameter, 0.0, thick) for sign in (1, -1))).solids()
+    return whole
+
+
 def _servo(servo_joint: ServoJoint, face: float) -> Shape:
     """Make case, ears and spline in the frame of the part that carries them, the case's top flush with the face."""
     servo = servo_joint.servo
@@ -258,5 +268,4 @@ def on_bed(part: Part, mesh: Mesh) -> Mesh:
     turn = radians(-part.turn_deg if over else part.turn_deg)
     x_up = np.diag([1.0, -1.0, -1.0]) if over else np.eye(3)
     about_z = np.array([[cos(turn), -sin(turn), 0.0], [sin(turn), cos(turn), 0.0], [0.0, 0.0, 1.0]])
-    vertices = mesh.vertices @ (about_z @ x_up).T
-    return Mesh(vertices - vertices.min(axis=0), mesh.triangles)
+    return Mesh(mesh.vertices @ (about_z @ x_up).T, mesh.triangles).on_bed()

@@ -5,7 +5,7 @@ A polygon of the same outline serves the decisions and checks in the plane.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, dist
 
 import numpy as np
 from build123d import Circle, Face, GeomType, Location, Rectangle, RectangleRounded, Sketch, Vertex, Wire
@@ -35,38 +35,38 @@ class Profile:
 
 
 def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int, settings: KitSettings) -> Profile:
-    """Unite a part's links and bosses and fillet the corners where they meet.
+    """Unite the links and bosses of the part with an index and fillet the corners where they meet.
 
-    Args:
-        mechanism: The design's parts and joints.
-        servo_joints: Servo joints of the whole robot.
-        body: Index of the part.
-        settings: Settings of the kit.
-
-    Returns:
-        The outline as a face and as a polygon.
-
-    Raises:
-        SolidError: The union has several pieces, or its area differs from that of polygons.
+    Raises SolidError if the union has several pieces, or its area differs from that of polygons.
     """
     name = mechanism.bodies[body].name
-    links = [
+    sketches: list[Sketch] = [
         _at(mechanism.link_centre[link], mechanism.link_angle[link]) * Rectangle(*mechanism.link_size[link])
         for link in mechanism.bodies[body].links
     ]
-    cradles = [one for one in servo_joints if one.carrier == body]
-    horns = [one for one in servo_joints if one.driven == body]
-    bosses = [
-        cradle_boss(one) if one.carrier == body else horn_boss(one)
-        for one in servo_joints
-        if body in (one.carrier, one.driven)
-    ]
-    face = _united([*links, *bosses], name)
-    polygons = [mechanism.bodies[body].outline, *(one.cradle for one in cradles), *(one.seat for one in horns)]
+    polygons = [mechanism.bodies[body].outline]
+    for servo_joint in servo_joints:
+        if servo_joint.carrier == body:
+            sketches.append(cradle_boss(servo_joint))
+            polygons.append(servo_joint.cradle)
+        elif servo_joint.driven == body:
+            sketches.append(horn_boss(servo_joint))
+            polygons.append(servo_joint.seat)
+    united = sketches[0]
+    for sketch in sketches[1:]:
+        united = united + sketch
+    faces = united.faces()
+    if len(faces) != 1:
+        raise SolidError(f"{name}: the links form {len(faces)} pieces, expected 1")
+    face = faces[0] if faces[0].normal_at().Z > 0 else -faces[0]
     expected: float = unary_union(polygons).area
     if abs(face.area - expected) > _AREA_TOLERANCE * expected:
         raise SolidError(f"{name}: the outline's area is {face.area:.1f} mm², expected {expected:.1f}")
-    face = _rounded(face, settings.fillet_mm)
+    if settings.fillet_mm > 0:
+        for corner, room in _inner_corners(face).items():
+            *larger, least = (settings.fillet_mm / divisor for divisor in (1, 2, 4))
+            sizes = (*(size for size in larger if size <= room), least)
+            face = next((f for size in sizes if (f := _filleted(face, corner, size)) is not None), face)
     return Profile(face, polygon_of(face))
 
 
@@ -87,65 +87,30 @@ def _at(place: Point, angle: float) -> Location:
     return Location((*place, 0.0), (0.0, 0.0, degrees(angle)))
 
 
-def _united(sketches: list[Sketch], name: str) -> Face:
-    united = sketches[0]
-    for sketch in sketches[1:]:
-        united = united + sketch
-    faces = united.faces()
-    if len(faces) != 1:
-        raise SolidError(f"{name}: the links form {len(faces)} pieces, expected 1")
-    return faces[0] if faces[0].normal_at().Z > 0 else -faces[0]
-
-
-def _rounded(face: Face, radius: float) -> Face:
-    """Fillet the inner corners with the radius, with a half or a quarter of it if that does not fit, or not at all."""
-    if radius == 0.0:
-        return face
-    room = _inner_corners(face)
-    sizes = (radius, radius / 2, radius / 4)
-    for number, size in enumerate(sizes):
-        larger = sizes[number - 1] if number else np.inf
-        smallest = 0.0 if size == sizes[-1] else size
-        corners = [corner for corner, edge in room.items() if smallest <= edge < larger]
-        together = _filleted(face, corners, size) if corners else face
-        if together is not None:
-            face = together
-            continue
-        for corner in corners:  # the estimated room was wrong for one of them
-            face = next((f for r in sizes[number:] if (f := _filleted(face, [corner], r)) is not None), face)
-    return face
-
-
 def _inner_corners(face: Face) -> dict[Point, float]:
-    """Find the inner corners, each with the approximate radius that its edges have room for."""
-    polygon = polygon_of(face)
-    probe = np.pi * _PROBE_MM**2
-    corners = [
-        (v.X, v.Y)
+    """Find the inner corners, each with the radius that its edges have room for; corners share an edge between them."""
+    polygon, probe = polygon_of(face), np.pi * _PROBE_MM**2
+    room = {
+        (v.X, v.Y): np.inf
         for v in face.vertices()
         if ShapelyPoint(v.X, v.Y).buffer(_PROBE_MM).intersection(polygon).area > _INNER_SHARE * probe
-    ]
-    room = dict.fromkeys(corners, np.inf)
+    }
     for edge in face.edges():
         ends = [(p.X, p.Y) for p in (edge.position_at(0), edge.position_at(1))]
-        near = [min(corners, key=lambda c: np.hypot(c[0] - x, c[1] - y), default=None) for x, y in ends]
-        touched = {c for c, (x, y) in zip(near, ends, strict=True) if c and np.hypot(c[0] - x, c[1] - y) < _PROBE_MM}
+        touched = [corner for corner in room if min(dist(corner, end) for end in ends) < _PROBE_MM]
         for corner in touched:
             room[corner] = min(room[corner], edge.length / len(touched))
     return room
 
 
-def _filleted(face: Face, corners: list[Point], radius: float) -> Face | None:
-    """Fillet corners; return None if the kernel fails or returns a wrong face."""
-    vertices: list[Vertex] = [min(face.vertices(), key=lambda v: np.hypot(v.X - x, v.Y - y)) for x, y in corners]
+def _filleted(face: Face, corner: Point, radius: float) -> Face | None:
+    """Fillet a corner; return None if the kernel fails or returns a wrong face, as where the radius does not fit."""
+    vertex: Vertex = min(face.vertices(), key=lambda v: np.hypot(v.X - corner[0], v.Y - corner[1]))
     try:
-        rounded = face.fillet_2d(radius, vertices)
+        rounded = face.fillet_2d(radius, [vertex])
     except Exception:  # the kernel's errors for a radius that does not fit have no common base class
         return None
-    gained = rounded.area - face.area
-    if not rounded.is_valid or not 0.0 <= gained <= len(corners) * 4 * radius**2:
-        return None
-    return rounded
+    return rounded if rounded.is_valid and 0.0 <= rounded.area - face.area <= 4 * radius**2 else None
 
 
 def polygon_of(face: Face) -> Polygon:

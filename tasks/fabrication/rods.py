@@ -43,17 +43,7 @@ class Layers:
 def layers_of(
     mechanism: Mechanism, servo_joints: Sequence[ServoJoint], outlines: Sequence[Polygon], settings: KitSettings
 ) -> Layers:
-    """Choose the layers and place the rods.
-
-    Args:
-        mechanism: The design's n parts and its joints.
-        servo_joints: One per turning joint.
-        outlines: (n) outlines of the parts, including bosses and fillets.
-        settings: Settings of the kit.
-
-    Returns:
-        The layer and the rods of every part.
-    """
+    """Choose the layer and place the rods of every part, given the parts' outlines with bosses and fillets."""
     choices = []
     for parity in (0, 1) if mechanism.joints else (0,):
         outer = tuple(body.depth % 2 == parity for body in mechanism.bodies)

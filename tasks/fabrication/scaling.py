@@ -57,17 +57,7 @@ class Scales:
 
 
 def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass_kg: float) -> Scales:
-    """Compute the scales from simulation to bench.
-
-    Args:
-        scaling: The scaling law.
-        length: Bench metres per metre of simulation.
-        mass_kg: Mass of the built robot, with everything on board.
-        simulated_mass_kg: Mass of the simulated robot.
-
-    Returns:
-        Bench units per unit of the simulation.
-    """
+    """Compute the scales, from bench metres per metre of simulation and the masses of both robots."""
     time = froude_time(length) if scaling.law == "froude" else 1.0
     return Scales(length=length, time=time, mass=mass_kg / simulated_mass_kg)
 
@@ -91,18 +81,10 @@ class JointLoad:
 
 
 def line_use(torque: Floats, speed: Floats, servo: Servo) -> Floats:
-    """Compute the share of a servo's straight torque–speed line in use.
+    """Compute the share in use of a servo's straight torque–speed line; it can't follow above 1.
 
-    A motor that drives loses torque with speed; one that brakes (torque against the motion) does not. The speed must be
-    within the no-load speed in either case.
-
-    Args:
-        torque: (...) torques [N·m].
-        speed: (...) speeds [rad/s], positive in the same sense.
-        servo: The servo.
-
-    Returns:
-        (...) shares; the servo can't follow above 1.
+    A motor that drives (torque [N·m] and speed [rad/s] have one sign) loses torque with speed; one that brakes does
+    not. The speed must be within the no-load speed in either case.
     """
     driving = np.maximum(np.sign(torque) * speed, 0.0) / servo.no_load_speed_rad_s
     along: Floats = np.abs(torque) / servo.stall_torque_nm + driving
@@ -132,9 +114,6 @@ def joint_loads(
         max_motor_torque: Torque limit of the simulated motors [N·m of simulation].
         commanded_speed: (n_joints) highest speeds commanded, amplitude · 2π f [rad/s of simulation]. A servo follows
             its timeline, while the simulated joint may lag behind.
-
-    Returns:
-        (n_joints) loads.
     """
     commanded = np.asarray(commanded_speed) * scales.frequency
     asked = torque.astype(np.float64) * scales.torque / servos_per_joint

@@ -3,8 +3,7 @@
 A joint is assembled as follows:
 
 - Parts that turn on each other can't lie in one plane, so each pontoon has two layers of parts with a gap between them.
-  The layer of a part follows from its depth in the tree, so that parts joined by a joint lie in different layers and
-  pass each other. Their other links may collide in the simulation: there the robot on the bench moves more freely.
+  The layer of a part follows from its depth in the tree, so that parts joined by a joint pass each other.
 - The servo's shaft lies along z, through the joint. Its case enters a pocket of one part from the back, away from the
   other layer, until its top is flush with the part's face. The ears rest on the plate that the pocket leaves there and
   are screwed to it from behind. What is longer than the part stands out behind, where nothing moves.
@@ -26,7 +25,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.fabrication.built_bodies import Mechanism, Point, TurningJoint, swept
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.servos import Horn, Sense, Servo, as_measured, servo_named
+from tasks.fabrication.servos import Horn, Sense, Servo, as_measured
 
 _HIT_COST = 10.0  # per mm² of a boss in the way of another part, where 1 mm² outside its own part costs 1
 _CONFLICT_COST = 1000.0  # per mm² shared by two servos
@@ -49,28 +48,29 @@ class ServoJoint:
     clearance_mm: float
     wall_mm: float
 
+    def _ends(self, over: float) -> Point:
+        """Return both ends, along the servo, of what reaches over the case by some length [mm], with clearance."""
+        near = -self.servo.shaft_offset_mm - over - self.clearance_mm
+        return near, self.servo.length_mm - self.servo.shaft_offset_mm + over + self.clearance_mm
+
+    @property
+    def _ear_mm(self) -> float:
+        return (self.servo.ear_length_mm - self.servo.length_mm) / 2
+
     @property
     def pocket(self) -> BaseGeometry:
         """Outline of the ears, with clearance."""
-        return self._around_case((self.servo.ear_length_mm - self.servo.length_mm) / 2)
+        return self.rectangle(self._ends(self._ear_mm), self.servo.width_mm / 2 + self.clearance_mm)
 
     @property
     def case(self) -> BaseGeometry:
         """Outline of the case, with clearance."""
-        return self._around_case(0.0)
-
-    def _around_case(self, over: float) -> BaseGeometry:
-        """Outline what reaches over both ends of the case by some length [mm], with clearance."""
-        near = -self.servo.shaft_offset_mm - over - self.clearance_mm
-        far = self.servo.length_mm - self.servo.shaft_offset_mm + over + self.clearance_mm
-        return self.rectangle((near, far), self.servo.width_mm / 2 + self.clearance_mm)
+        return self.rectangle(self._ends(0.0), self.servo.width_mm / 2 + self.clearance_mm)
 
     @property
     def cable_ways(self) -> list[BaseGeometry]:
         """Notches in the pocket's walls at both ends of the servo."""
-        over = (self.servo.ear_length_mm - self.servo.length_mm) / 2 + self.clearance_mm
-        near = -self.servo.shaft_offset_mm - over
-        far = self.servo.length_mm - self.servo.shaft_offset_mm + over
+        near, far = self._ends(self._ear_mm)
         half = (self.servo.cable_width_mm + _CABLE_CLEARANCE_MM) / 2
         return [self.rectangle((near - self.wall_mm, near), half), self.rectangle((far, far + self.wall_mm), half)]
 
@@ -137,7 +137,7 @@ class ServoJoint:
 
 def servo_of(settings: KitSettings) -> Servo:
     """Return the kit's servo with its one horn and the user's measurements. Raises as :func:`as_measured`."""
-    return as_measured(servo_named(settings.servo), settings.horn, settings.measured)
+    return as_measured(settings.servo, settings.horn, settings.measured)
 
 
 def servo_joints_of(mechanism: Mechanism, settings: KitSettings) -> tuple[ServoJoint, ...]:

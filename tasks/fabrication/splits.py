@@ -50,43 +50,25 @@ def turn_to_fit(shape: BaseGeometry, bed: tuple[float, float]) -> float | None:
 
 
 def split_of(mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGeometry, settings: KitSettings) -> Split:
-    """Cut a part until every piece fits the bed, or no further cut is possible.
-
-    Args:
-        mechanism: The design's parts and joints.
-        body: Index of the part.
-        outline: Outline of the part.
-        keep_off: Pockets, recesses and bores that no cut may touch.
-        settings: Settings of the kit.
-
-    Returns:
-        The cuts and pieces.
-    """
-    bed = bed_mm(settings)
-    pieces, fits = [outline], True
+    """Cut the part with an index until every piece fits the bed, or no further cut misses what cuts must keep off."""
+    bed, pieces = bed_mm(settings), [outline]
     cuts: list[BaseGeometry] = []
-    while True:
-        large = [piece for piece in pieces if turn_to_fit(piece, bed) is None]
-        if not large:
-            break
+    while large := [piece for piece in pieces if turn_to_fit(piece, bed) is None]:
         best = _best_cut(large[0], mechanism, body, keep_off, settings) if len(cuts) < _MAX_CUTS else None
         if best is None:
-            fits = False
             break
-        cut, halves = best
         pieces.remove(large[0])
-        pieces.extend(halves)
-        cuts.append(cut)
+        pieces.extend(best[1])
+        cuts.append(best[0])
     pieces.sort(key=lambda piece: (piece.centroid.x, piece.centroid.y))
-    return Split(tuple(cuts), tuple(pieces), fits)
+    return Split(tuple(cuts), tuple(pieces), not large)
 
 
-def _size(shape: BaseGeometry, settings: KitSettings) -> float:
+def _size(shape: BaseGeometry, bed: tuple[float, float]) -> float:
     """Return the size of a shape relative to the bed, which 1 fills."""
     corners = np.array(shape.minimum_rotated_rectangle.exterior.coords)
-    sides = sorted(np.hypot(*(corners[1:3] - corners[:2]).T))
-    bed = sorted(bed_mm(settings))
-    return max(float(sides[0]) / bed[0], float(sides[1]) / bed[1])
+    sides = np.sort(np.hypot(*(corners[1:3] - corners[:2]).T))
+    return float((sides / np.sort(bed)).max())
 
 
 def _best_cut(
@@ -97,20 +79,17 @@ def _best_cut(
     clear = keep_off.buffer(settings.wall_mm)
     for link in mechanism.bodies[body].links:
         width, height = mechanism.link_size[link]
-        x, y = mechanism.link_centre[link]
-        angle = mechanism.link_angle[link]
+        (x, y), angle = mechanism.link_centre[link], mechanism.link_angle[link]
         for along in np.arange(-height / 2 + _STEP_MM, height / 2, _STEP_MM):
-            centre = (x - sin(angle) * along, y + cos(angle) * along)
-            chord = _chord(piece, centre, angle, width)
-            if chord is None:
-                continue
-            for flip in (1, -1):
-                line, half_gap = _dovetail(chord, flip), settings.split_clearance_mm / 2
-                cut = line.buffer(half_gap, join_style="mitre", cap_style="flat")
+            chord = _chord(piece, (x - sin(angle) * along, y + cos(angle) * along), angle, width)
+            for flip in (1, -1) if chord else ():
+                cut = _dovetail(chord, flip).buffer(
+                    settings.split_clearance_mm / 2, join_style="mitre", cap_style="flat"
+                )
                 halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > _MIN_PIECE_MM2]
                 if len(halves) != 2 or cut.intersects(clear):
                     continue
-                size = max(_size(half, settings) for half in halves)
+                size = max(_size(half, bed_mm(settings)) for half in halves)
                 if size < least - _MIN_GAIN:
                     best, least = (cut, halves), size
     return best
@@ -118,8 +97,7 @@ def _best_cut(
 
 def _chord(piece: Polygon, centre: tuple[float, float], angle: float, width: float) -> LineString | None:
     """Return the straight cut across a piece at a point of a link if it ends in the open near the link's sides."""
-    reach = 2 * width
-    across = LineString([(-reach, 0.0), (reach, 0.0)])
+    across = LineString([(-2 * width, 0.0), (2 * width, 0.0)])
     line = affinity.translate(affinity.rotate(across, angle, origin=(0, 0), use_radians=True), *centre)
     inside = line.intersection(piece)
     for stretch in getattr(inside, "geoms", [inside]):
@@ -131,19 +109,10 @@ def _chord(piece: Polygon, centre: tuple[float, float], angle: float, width: flo
 
 def _dovetail(chord: LineString, flip: int) -> LineString:
     """Return the line of a cut: straight, with a dovetail in the middle, and extended beyond the outline."""
-    (x0, y0), (x1, y1) = chord.coords
-    along = np.array([x1 - x0, y1 - y0])
-    length = float(np.hypot(*along))
-    along /= length
-    aside = flip * np.array([-along[1], along[0]])
-    middle = np.array([x0 + x1, y0 + y1]) / 2
-    neck, head, depth = (share * length for share in (_NECK, _HEAD, _DEPTH))
-    points = [
-        np.array([x0, y0]) - _OVERRUN_MM * along,
-        middle - along * neck / 2,
-        middle - along * head / 2 + aside * depth,
-        middle + along * head / 2 + aside * depth,
-        middle + along * neck / 2,
-        np.array([x1, y1]) + _OVERRUN_MM * along,
-    ]
-    return LineString(points)
+    start, end = np.array(chord.coords)
+    length = float(np.hypot(*(end - start)))
+    along = (end - start) / length
+    aside = flip * _DEPTH * length * np.array([-along[1], along[0]])
+    middle, neck, head = (start + end) / 2, _NECK * length / 2 * along, _HEAD * length / 2 * along
+    tail = [middle - neck, middle - head + aside, middle + head + aside, middle + neck]
+    return LineString([start - _OVERRUN_MM * along, *tail, end + _OVERRUN_MM * along])

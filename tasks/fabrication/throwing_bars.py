@@ -40,18 +40,9 @@ class ThrowingBar:
 
 
 def throwing_bars(throwing: ThrowingKit, settings: KitSettings, fluid_density: float) -> tuple[ThrowingBar, ...]:
-    """Compute the bars of a kit.
+    """Compute a kit's bars, from the shortest on, for a fluid in the tank of a density [kg/m³].
 
-    Args:
-        throwing: lengths and density.
-        settings: scale, thickness, pitch and printer.
-        fluid_density: density of the fluid in the tank [kg/m³].
-
-    Returns:
-        A bar for every length, in order.
-
-    Raises:
-        BarError: a bar is too narrow for its rods, or too heavy or too light at any infill.
+    Raises BarError if a bar is too narrow for its rods, or too heavy or too light at any infill.
     """
     return tuple(_bar(length, throwing, settings, fluid_density) for length in sorted(throwing.lengths))
 

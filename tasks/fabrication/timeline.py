@@ -41,16 +41,9 @@ class Timeline:
     def __post_init__(self) -> None:
         if not self.joints:
             raise TimelineError("timeline: no motor is on, expected at least one")
-        if self.angle.ndim != 2 or self.angle.shape[1] != len(self.joints) or not len(self.angle):
-            raise TimelineError(
-                f"timeline: angles have shape {self.angle.shape}, expected (n_frames, {len(self.joints)})"
-            )
-        if not np.isfinite(self.angle).all():
-            frame, column = np.argwhere(~np.isfinite(self.angle))[0]
-            raise TimelineError(
-                f"timeline: joint {self.joints[column]} at {frame / FRAME_RATE_HZ:.2f} s: "
-                f"expected a finite angle, got {self.angle[frame, column]}"
-            )
+        if self.angle.shape[1:] != (len(self.joints),) or not len(self.angle):
+            expected = f"expected (n_frames, {len(self.joints)})"
+            raise TimelineError(f"timeline: angles have shape {self.angle.shape}, {expected}")
 
     @property
     def time(self) -> Float64:
@@ -65,12 +58,9 @@ class Timeline:
 
 
 def envelope(time: Float64, *, duration: float, ramp: float) -> Float64:
-    """Return the amplitude's envelope, which rises from 0 to 1 and falls again by 6 s⁵ - 15 s⁴ + 10 s³.
+    """Return the amplitude's envelope at (n,) times [s]: it rises from 0 to 1 and falls again by 6 s⁵ - 15 s⁴ + 10 s³.
 
-    Args:
-        time: (n,) times [s].
-        duration: Duration of the run [s].
-        ramp: Duration of the rise and of the fall [s]; half of ``duration`` at most.
+    The rise and the fall take ``ramp`` [s] each, or half of the duration [s] where that is shorter.
     """
     ramp = min(ramp, duration / 2)
     s = np.clip(np.minimum(time, duration - time) / ramp, 0.0, 1.0)
@@ -84,18 +74,9 @@ def driven_joints(design: Designs) -> tuple[int, ...]:
 
 
 def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Timeline:
-    """Sample the motor commands of a design's controller.
+    """Sample the motor commands of one design's controller, with ``time_scale`` bench seconds per simulated second.
 
-    Args:
-        design: One design.
-        playback: Duration and ramps.
-        time_scale: Bench seconds per second of simulation.
-
-    Returns:
-        The angles, from rest to rest.
-
-    Raises:
-        TimelineError: No motor is on.
+    Raises TimelineError if no motor is on.
     """
     joints = driven_joints(design)
     n_frames = round(playback.duration * FRAME_RATE_HZ) + 1

@@ -1,4 +1,4 @@
-"""Files of timelines and calibrations: round trips, and messages that name file and field."""
+"""A kit's folder, timelines and calibrations: round trips, and messages that name file and field."""
 
 import csv
 import io
@@ -9,12 +9,16 @@ import pytest
 
 from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_files import (
+    KIT,
+    KIT_MANIFEST,
     calibration_yaml,
     read_calibration,
     read_timeline,
     timeline_csv,
     timeline_json,
+    write_folder,
 )
+from pipeline.store import disk
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Timeline, pulses
 
@@ -110,3 +114,67 @@ def test_missing_and_damaged_files_are_refused(tmp_path):
         read_timeline(tmp_path / "bad.json")
     with pytest.raises(PuddleError, match=r"none\.yaml"):
         read_calibration(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_failing_disk_or_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, failure):
+    folder = tmp_path / "kit"
+    write_folder(KIT, folder, {"a.txt": b"old", "print/b.txt": b"old"}, {"name": "old"})
+    (folder / "servo-1.csv").write_bytes(b"log")
+    left = 0
+
+    def counted(effect):
+        def failing(*arguments):
+            nonlocal left
+            left -= 1
+            if left == 0:
+                raise failure
+            return effect(*arguments)
+
+        return failing
+
+    for name in ("write", "fsync", "rename"):
+        monkeypatch.setattr(disk, name, counted(getattr(disk, name)))
+    for first_failure in range(1, 9):  # files are written and flushed, then two renames
+        left = first_failure
+        with pytest.raises((PuddleError, KeyboardInterrupt)):
+            write_folder(KIT, folder, {"a.txt": b"new", "print/b.txt": b"new"}, {"name": "new"})
+        assert (folder / "a.txt").read_bytes() == (folder / "print/b.txt").read_bytes() == b"old"
+        assert (folder / "servo-1.csv").exists() and [path.name for path in tmp_path.iterdir()] == ["kit"]
+
+
+def test_files_of_the_user_are_preserved(tmp_path):
+    folder = tmp_path / "kit"
+    write_folder(KIT, folder, {"calibration.yaml": b"a guess", "print/gone.stl": b"part"}, {"name": "old"})
+    for content in (b"measured", b"measured again"):
+        (folder / "calibration.yaml").write_bytes(content)
+        (folder / "servo-1.csv").write_bytes(b"log")
+        lines = write_folder(KIT, folder, {"calibration.yaml": b"another guess"}, {"name": "new"})
+    assert lines == [
+        "Preserved calibration-yours-1.yaml.",
+        "Preserved calibration.yaml, which you had changed, as calibration-yours-2.yaml.",
+        "Preserved servo-1.csv.",
+    ]
+    held = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    held.pop(KIT_MANIFEST)
+    assert held == {
+        "calibration.yaml": b"another guess",
+        "calibration-yours-1.yaml": b"measured",
+        "calibration-yours-2.yaml": b"measured again",
+        "servo-1.csv": b"log",
+    }
+
+
+def test_folders_that_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "link").symlink_to(tmp_path)
+    with pytest.raises(PuddleError, match="a file or a link"):
+        KIT.check_place(tmp_path / "link")
+    (tmp_path / "newer").mkdir()
+    (tmp_path / "newer" / KIT_MANIFEST).write_text('{"schema": "puddle.kit", "version": 9}')
+    with pytest.raises(PuddleError, match="version 9"):
+        KIT.check_place(tmp_path / "newer")
+    (tmp_path / "empty").mkdir()
+    assert KIT.check_place(tmp_path / "empty") == tmp_path / "empty"
+    monkeypatch.chdir(tmp_path / "empty")
+    with pytest.raises(PuddleError, match="can't replace the current directory"):
+        KIT.check_place(tmp_path / "empty")

@@ -1,7 +1,5 @@
 """Contacts that a kit does not have: links on known paths, and a robot that folds onto itself."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,9 +7,7 @@ from tasks.fabrication.built_bodies import mechanism_of
 from tasks.fabrication.contacts import passing_contacts
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.rods import Layers
-from tasks.simulation import simulate
 from tasks.simulation.box2d import TOTAL_RADIUS
-from tasks.world import DryLand, Physics
 
 DT = 0.1
 
@@ -48,21 +44,3 @@ def test_joined_links_and_parts_of_one_layer_are_not_reported(crane):
     pose[:, 2, 0] = pose[:, 0, 0]  # joined to link 0
     pose[:, 5, 0] = pose[:, 3, 0]  # parts 2 and 3 collide on the bench too
     assert passing_contacts(crane, mechanism, Layers((True, False, False), ((), (), ())), pose, time_step=DT) == []
-
-
-def test_a_simulated_robot_that_folds_onto_itself(crane):
-    # Link 3 leans back from the end of link 2, which swings it down until it hits link 1.
-    folded = replace(
-        crane,
-        motion_range=np.array([[0.2, 0.2, 1.5, 0.2, 0.2, 0.2]]),
-        rest_angle=np.array([[0.0, -np.pi / 2, 0.0, 2.6, 0.0, -np.pi / 2]]),
-    )
-    mechanism, layers = mechanism_of(folded, KitSettings()), Layers((True, False, False), ((), (), ()))
-    physics = Physics(passive_joints="locked", link_collisions=True)
-    run = simulate(
-        folded, DryLand(depth=0.0), n_settle=60, n_measure=400, engine="reference", trace=True, physics=physics
-    )
-    found = passing_contacts(folded, mechanism, layers, run.trace[0][:, :, :3], time_step=physics.time_step)
-    (knock,) = (contact for contact in found if contact.links == (1, 3))
-    assert knock.joints == (2,) and knock.parts == (0, 1)
-    assert 0.0 < knock.first < 460 * physics.time_step and 0.0 < knock.share < 0.5

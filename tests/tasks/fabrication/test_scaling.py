@@ -7,11 +7,11 @@ import pytest
 
 from tasks.design import random_designs
 from tasks.fabrication.scaling import Scales, Scaling, joint_loads, line_use, scales_of
-from tasks.fabrication.servos import servo_named
+from tasks.fabrication.servos import SERVOS
 from tasks.simulation import simulate
 from tasks.world import DryLand, Physics
 
-SERVO = servo_named("ds3225")
+SERVO = SERVOS["ds3225"]
 
 
 def test_scales_of_both_laws():
@@ -33,16 +33,8 @@ def test_loads_of_a_known_run():
     scales = Scales(length=0.1, time=0.5, mass=0.2)
     torque = np.array([[30.0, 3.0], [-15.0, 4.0]])
     speed = np.array([[0.0, 1.0], [0.5, -1.0]])
-    first, second = joint_loads(
-        (2, 4),
-        torque,
-        speed,
-        scales=scales,
-        servo=SERVO,
-        servos_per_joint=2,
-        max_motor_torque=30.0,
-        commanded_speed=(0.2, 0.3),
-    )
+    common = {"scales": scales, "servo": SERVO, "servos_per_joint": 2, "max_motor_torque": 30.0}
+    first, second = joint_loads((2, 4), torque, speed, **common, commanded_speed=(0.2, 0.3))
     assert (first.joint, second.joint) == (2, 4)
     assert first.peak_torque == pytest.approx(30 * 0.02 / 2) and first.saturated == 0.5 and second.saturated == 0
     assert first.peak_speed == pytest.approx(1.0) and second.peak_speed == pytest.approx(2.0)
@@ -50,49 +42,24 @@ def test_loads_of_a_known_run():
     assert second.use == pytest.approx(0.03 / SERVO.stall_torque_nm + 2.0 / SERVO.no_load_speed_rad_s)
     assert first.margin == pytest.approx(1 / first.use)
     assert first.rms_torque == pytest.approx(0.01 * np.sqrt((30**2 + 15**2) / 2))
-
-
-def test_a_servo_must_keep_up_with_its_timeline():
-    # The joint stays at rest although commanded to swing by 0.8 rad at 0.2 Hz: amplitude · 2π f, doubled on the bench.
-    commanded = 0.8 * 2 * np.pi * 0.2
-    scales, still = Scales(length=0.1, time=0.5, mass=0.2), np.zeros((3, 1))
-    (load,) = joint_loads(
-        (2,),
-        still,
-        still,
-        scales=scales,
-        servo=SERVO,
-        servos_per_joint=1,
-        max_motor_torque=30.0,
-        commanded_speed=(commanded,),
-    )
-    assert load.peak_speed == pytest.approx(2 * commanded)
-    assert load.use == pytest.approx(2 * commanded / SERVO.no_load_speed_rad_s)
+    # A joint that stays at rest although commanded: the servo must keep up with its timeline.
+    (still,) = joint_loads((2,), 0 * torque[:, :1], 0 * speed[:, :1], **common, commanded_speed=(1.0,))
+    assert still.peak_speed == 2.0 and still.use == pytest.approx(2.0 / SERVO.no_load_speed_rad_s)
 
 
 def arm(angle: float):
     """Return a robot with one link held out by a motor at the top of its parent; all others are locked at the root."""
-    one = random_designs(1, np.random.default_rng(0))
-    zeros = np.zeros((1, 6))
-    parent = np.array([[-1, 0, 0, 0, 0, 0]])
-    child = zeros.copy()
-    child[0, 5] = -1.0  # the last link is held by its end
-    above = zeros.copy()
-    above[0, 5] = 1.0  # at the top, clear of the ground
-    rest = zeros.copy()
-    rest[0, 5] = angle
-    on = np.zeros((1, 6), dtype=bool)
-    on[0, 5] = True
+    zeros, last = np.zeros((1, 6)), np.eye(6)[5:]
     return replace(
-        one,
+        random_designs(1, np.random.default_rng(0)),
         length_scale=np.ones((1, 6)),
-        parent=parent,
-        parent_attachment=above,
-        child_attachment=child,
-        rest_angle=rest,
+        parent=np.array([[-1, 0, 0, 0, 0, 0]]),
+        parent_attachment=last,  # at the top, clear of the ground
+        child_attachment=-last,  # the last link is held by its end
+        rest_angle=angle * last,
         phase=zeros,
         motion_range=np.full((1, 6), 0.2),
-        motor_on=on,
+        motor_on=last > 0,
         frequency=np.zeros(1),
     )
 
@@ -112,8 +79,3 @@ def test_holding_a_pendulum_takes_m_g_r(angle: float):
     expected = -1.0 * 9.8 * 0.5 * np.sin(held + trace[-1, 0, 2])
     np.testing.assert_allclose(torque[-60:, 5], expected, rtol=0.01)
     assert abs(held - angle) < 0.02
-
-
-def test_the_batch_engine_reports_no_torque():
-    rollouts = simulate(arm(0.5), DryLand(depth=0.0), n_settle=1, n_measure=1, trace=True)
-    assert rollouts.motor_torque is None

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tasks.fabrication.bar_solids import plate_of
-from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
+from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
+from tasks.fabrication.parts import plate_of
 from tasks.fabrication.throwing_bars import BarError, throwing_bars
 
 KIT = KitSettings()
@@ -17,12 +17,8 @@ def test_a_bar_is_as_heavy_as_its_share_of_the_fluid():
         assert (bar.length_mm, bar.width_mm) == pytest.approx((70 * length, 70 / length))
         assert bar.mass_g == pytest.approx(0.8 * 70 * 70 * 50 / 1000)
         assert 2 * bar.plate_g + bar.rods_g + bar.trim_g == pytest.approx(bar.mass_g)
+        assert bar.rod_at_mm**2 == pytest.approx((bar.length_mm**2 + bar.width_mm**2) / 12)  # of inertia
         assert abs(bar.trim_g) < 0.01 * bar.mass_g and 0.4 < bar.infill < 0.5  # the paper's robot has 45 %
-
-
-def test_rods_leave_the_moment_of_inertia_per_mass_as_it_is():
-    for bar in BARS:
-        assert bar.rod_at_mm**2 == pytest.approx((bar.length_mm**2 + bar.width_mm**2) / 12)
 
 
 def test_tags_have_white_paper_around_them():
@@ -57,7 +53,3 @@ def test_the_mass_of_a_plate_is_that_of_its_solid():
 def test_bars_that_can_not_be_made(throwing, kit, message):
     with pytest.raises(BarError, match=message):
         throwing_bars(ThrowingKit(**throwing), KitSettings(**kit), 1000.0)
-
-
-def test_kits_of_robots_keep_their_settings():
-    assert "throwing" not in FabricationSettings().model_dump(mode="json")

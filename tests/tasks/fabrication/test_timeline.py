@@ -12,16 +12,8 @@ from tasks.design import random_designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Playback, Timeline, TimelineError, envelope, pulses, timeline_of
 
-SERVO = {
-    "joint": 1,
-    "channel": 0,
-    "centre_us": 1500.0,
-    "direction": 1,
-    "us_per_rad": 600.0,
-    "min_us": 900.0,
-    "max_us": 2100.0,
-    "max_speed": 6.0,
-}
+SERVO = {"joint": 1, "channel": 0, "centre_us": 1500.0, "direction": 1, "us_per_rad": 600.0}
+SERVO |= {"min_us": 900.0, "max_us": 2100.0, "max_speed": 6.0}
 
 
 def servo(**changes) -> ServoCalibration:
@@ -93,28 +85,3 @@ def test_a_timeline_beyond_a_limit_is_refused_with_joint_time_and_limit():
         pulses(Timeline((1,), np.array([[0.0], [0.05]])), Calibration(servos=(servo(max_speed=2.0),)))
     with pytest.raises(TimelineError, match="for joints 1, 3, the calibration has them for 1"):
         pulses(Timeline((1, 3), np.zeros((5, 2))), Calibration(servos=(servo(),)))
-    with pytest.raises(TimelineError, match=r"joint 1 at 0\.02 s: expected a finite angle, got nan"):
-        Timeline((1,), np.array([[0.0], [np.nan]]))
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"min_us": 2100.0, "max_us": 900.0}, "swapped"),
-        ({"centre_us": 800.0}, "centre_us is 800"),
-        ({"us_per_rad": float("nan")}, "us_per_rad"),
-        ({"direction": 0}, "direction"),
-        ({"joint": 6}, "joint"),
-        ({"trim": 3}, "trim"),
-        ({"max_us": 9000.0}, "max_us"),
-        ({"max_speed": 0.0}, "max_speed"),
-    ],
-)
-def test_invalid_calibrations_are_refused(changes, said):
-    with pytest.raises(ValidationError, match=said):
-        servo(**changes)
-
-
-def test_a_channel_has_one_servo():
-    with pytest.raises(ValidationError, match="channel 0 appears twice"):
-        Calibration(servos=(servo(), servo(joint=2)))
