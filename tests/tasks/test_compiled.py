@@ -5,11 +5,13 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numba
 import pytest
 
+from tasks import compiled as compilation
 from tasks.compiled import _warn, compiled, dependencies, fingerprint
 from tasks.design import genes
 from tasks.simulation import box2d
@@ -21,7 +23,9 @@ pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="there is no co
 
 OUTER = """
 import sys
+import tempfile
 from program import inner
+from tasks import compiled as compilation
 from tasks.compiled import compiled, uncompiled_kernels
 def kernel(x):
     return inner.scaled(x)
@@ -33,6 +37,7 @@ if __name__ == "__main__":
 """
 
 INNER = """
+from tasks import compiled as compilation
 from tasks.compiled import inline
 @inline
 def scaled(x):
@@ -163,3 +168,13 @@ def test_another_value_of_a_constant_is_another_kernel(module, constant, monkeyp
         if getattr(namespace, constant, None) is value:
             monkeypatch.setattr(namespace, constant, type(value)(2 * value))
     assert fingerprint(kernel) != before
+
+
+def test_without_a_home_kernels_are_kept_among_temporary_files(tmp_path, monkeypatch):
+    """A home that is missing below a file can't be made, like one below a folder of others."""
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HOME", str(tmp_path / "file" / "home"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert Path(compilation.cache_folder()).parent == tmp_path

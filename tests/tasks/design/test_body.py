@@ -203,3 +203,9 @@ def test_a_bent_pair_of_links_has_the_inertia_that_steiner_gives_it() -> None:
         "mass_over_inertia": [1 / body] * 2,
     }.items():
         np.testing.assert_allclose(getattr(rigid, name)[0, :2], expected, rtol=HALF_ULP, atol=2 * HALF_ULP)
+
+
+def test_mass_and_inertia_grow_with_density(designs: Designs) -> None:
+    light, heavy = (kinematic_trees(designs, density=density) for density in (1.0, 3.0))
+    np.testing.assert_allclose(heavy.mass, 3.0 * light.mass, rtol=4 * HALF_ULP)
+    np.testing.assert_allclose(heavy.inertia, 3.0 * light.inertia, rtol=4 * HALF_ULP)

@@ -121,3 +121,13 @@ def test_draws_end() -> None:
 def test_impossible_morphologies_are_refused_by_name(setting: dict) -> None:
     with pytest.raises(ValidationError, match=next(iter(setting))):
         Morphology(**setting)
+
+
+def test_the_speed_of_a_joint_is_the_greatest_slope_of_its_target() -> None:
+    designs = random_designs(20, np.random.default_rng(1))
+    time = np.linspace(0, 30, 30_001)[:, None, None]  # [s]
+    angle = designs.motion_range * np.sin(2 * np.pi * designs.frequency[:, None] * time + designs.phase)
+    slope = np.abs(np.diff(angle, axis=0) / np.diff(time, axis=0)).max(axis=0)
+    turns = designs.frequency > 0.05  # the others do not finish a period
+    expected = np.where(designs.motor_on, slope, 0.0)
+    np.testing.assert_allclose(joint_speed(designs)[turns], expected[turns], rtol=1e-4)

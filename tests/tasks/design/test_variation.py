@@ -199,3 +199,18 @@ def test_a_child_takes_whole_links_from_one_or_the_other() -> None:
 def test_impossible_rates_are_refused_by_name(setting: dict[str, float]) -> None:
     with pytest.raises(ValidationError, match=next(iter(setting))):
         Mutation(**setting)
+
+
+def test_random_motors_are_on_half_the_time() -> None:
+    on = random_designs(4000, np.random.default_rng(12)).motor_on[:, 1:]
+    low, high = binomial_interval(on.size, 0.5)
+    assert low <= on.sum() <= high
+
+
+def test_random_parents_are_uniform_among_the_links_before() -> None:
+    parent = random_designs(6000, np.random.default_rng(13)).parent
+    for link in range(1, N_LINKS):
+        counts = np.bincount(parent[:, link], minlength=link)
+        assert counts.size == link
+        low, high = binomial_interval(6000, 1 / link)
+        assert ((counts >= low) & (counts <= high)).all()

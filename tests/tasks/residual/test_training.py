@@ -15,6 +15,7 @@ from tasks.residual import (
 )
 from tasks.residual.error_report import LOW_SPEED
 from tasks.residual.training import TrainingDiverged, mean_loss, precision_weights, train_member
+from tasks.residual.validation import split_throws
 from tasks.world import Physics, Slush
 
 SMALL = Architecture(hidden_layers=2, width=16)
@@ -131,3 +132,11 @@ def test_a_network_learns_around_rows_that_are_known_to_be_wrong():
         for data in (Transitions(**columns), MeasuredTransitions(**columns, residual_sd=sd))
     )
     assert of_known.learning_curve[-1, 2] < 0.05 * of_all.learning_curve[-1, 2]
+
+
+def test_standardisation_knows_the_training_set_alone(thrown):
+    member = train_member(thrown, SMALL, SHORT, seed=3, member=0)
+    learned, held_out = split_throws(thrown.throw, SHORT.held_out, seed=3)
+    mean = thrown.residual[learned].mean(axis=0, dtype=float).astype(np.float32)
+    assert (member.standardisation.residual_mean == mean).all()
+    assert {row.n_rows for row in member.validation if row.band == "all"} == {held_out.sum()} == {4 * 200}
