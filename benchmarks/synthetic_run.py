@@ -18,8 +18,7 @@ import yaml
 from benchmarks.synthetic_tank import TankCamera, TankScene, film_board, sticker
 from pipeline.commands.run_comparison import read_kit
 from pipeline.store.tables import Columns, csv_of
-from pipeline.vision.kit_markers import markers_of
-from pipeline.vision.markers_file import Markers, TaggedBar
+from pipeline.vision.markers_file import Markers, TaggedBar, markers_of
 from pipeline.vision.video import film
 from tasks.analysis.built_run import BuiltRobot, joint_angles
 from tasks.arrays import Float64
@@ -31,19 +30,9 @@ from tasks.seeding import generator
 from tasks.simulation import simulate
 
 _TANK = ThrowingKit(tank_length=1.1, tank_height=0.62, waterline=0.32)
-_WATERLINE_TAGS = 48, 49
 _BEFORE = 1.0  # from the start of the video to that of the servos [s]
 _START = 0.25  # where the root begins in the tank [m]
 _N_INSTANTS = 4  # over which an exposure is averaged
-
-
-def tank_markers(*, waterline_tags: bool) -> Markers:
-    """Return the markers of a throwing kit's tank, with the waterline as a height or as two tags."""
-    markers = markers_of(_TANK, throwing_bars(_TANK, KitSettings(), 1000.0))
-    if not waterline_tags:
-        return markers
-    tank = markers.tank.model_copy(update={"waterline": None, "waterline_tags": _WATERLINE_TAGS})
-    return Markers.model_validate(markers.model_dump() | {"tank": tank.model_dump()})
 
 
 def motion_of(robot: BuiltRobot, seconds: float, slower: float) -> tuple[Float64, Float64]:
@@ -141,11 +130,10 @@ def main() -> None:
     options.add_argument("--out", type=Path, required=True)
     options.add_argument("--seconds", type=float, default=20.0)
     options.add_argument("--slower", type=float, default=1.0)
-    options.add_argument("--waterline-tags", action="store_true")
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    markers, rng = tank_markers(waterline_tags=given.waterline_tags), generator(0, "synthetic run")
-    scene = TankScene(TankCamera(exposure=0.004), markers, rng=rng, waterline_at=_TANK.waterline)
+    markers, rng = markers_of(_TANK, throwing_bars(_TANK, KitSettings(), 1000.0)), generator(0, "synthetic run")
+    scene = TankScene(TankCamera(exposure=0.004), markers, rng=rng)
     tracks = film_run(given.out / "run.mp4", scene, read_kit(given.kit), given.seconds, given.slower)
     (given.out / "run.csv").write_bytes(csv_of(tracks))
     film_board(given.out / "board.mp4", scene.camera, markers, 12, rng)

@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 import yaml
 
-from pipeline.vision.kit_markers import markers_of
-from pipeline.vision.markers_file import Dictionary, Markers, TaggedBar
+from pipeline.vision.markers_file import Dictionary, Markers, TaggedBar, markers_of
 from pipeline.vision.tags import charuco_board, modules
 from pipeline.vision.video import Picture, film
 from tasks.arrays import Float32, Float64
@@ -119,7 +118,6 @@ class TankScene:
     camera: TankCamera
     markers: Markers
     behind: float = 0.003  # distance of the bars behind the front [m]
-    waterline_at: float | None = None  # height of the water where tags show it [m]
     rng: np.random.Generator = field(default_factory=lambda: generator(0, "synthetic tank"))
 
     @cached_property
@@ -130,7 +128,7 @@ class TankScene:
     @property
     def level(self) -> float:
         """Height of the water over the origin of the tank's tags [m]."""
-        return float(self.markers.tank.waterline or self.waterline_at or 0.0)
+        return self.markers.tank.waterline
 
     @cached_property
     def background(self) -> Float32:
@@ -139,8 +137,6 @@ class TankScene:
         picture = np.where(at[..., 1] < self.level, _WATER, _AIR) + 12 * np.sin(9 * at[..., 0]) * np.cos(7 * at[..., 1])
         picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0)
         tags = [(tag.number, tag.x, tag.y) for tag in self.markers.tank.corners]
-        for number, side in zip(self.markers.tank.waterline_tags or (), (1, 3), strict=False):
-            tags.append((number, self.middle[0] * side / 2, self.level))
         for number, x, y in tags:
             picture = self._with(picture, at, sticker(number, self.markers.tank.tag_size), np.array([[x, y, 0.0]]))
         return picture

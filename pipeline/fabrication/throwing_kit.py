@@ -41,7 +41,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     from pipeline.fabrication.exports import stl
     from pipeline.fabrication.kit_page import TEMPLATES
     from pipeline.report.moving import document
-    from pipeline.vision.kit_markers import markers_of
+    from pipeline.vision.markers_file import markers_of
     from pipeline.vision.tag_sheets import tag_sheets
     from tasks.fabrication.parts import mesh_of, plate_of
 
@@ -64,7 +64,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
         kit=settings,
         throwing=throwing,
         markers=markers,
-        sheets=sorted(name.removesuffix(".svg") for name in made if name.endswith(".svg")),
+        sheets=sorted(name for name in made if name.endswith(".png")),
         rod_length=settings.pitch_mm + settings.thickness_mm,
         smallest_module=min(bar.tag_mm for bar in bars) / 6,
     )

@@ -1,26 +1,18 @@
 """markers.yaml: which tag is where on the tank, on the bars and on a robot. A throwing kit holds one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from tasks.design.genes import N_LINKS
+from tasks.fabrication.kit_settings import ThrowingKit
+from tasks.fabrication.throwing_bars import ThrowingBar
 from tasks.parameters import Parameters
 
-Dictionary = Literal[
-    "4x4_50",
-    "4x4_100",
-    "4x4_250",
-    "5x5_50",
-    "5x5_100",
-    "5x5_250",
-    "6x6_250",
-    "apriltag_16h5",
-    "apriltag_25h9",
-    "apriltag_36h10",
-    "apriltag_36h11",
-]
+Dictionary = Literal["4x4_50", "4x4_250", "5x5_50", "5x5_250", "6x6_250", "apriltag_16h5", "apriltag_36h11"]
+
+_FIRST_BAR_TAG = 4  # of a throwing kit, after those of its tank
 
 
 class TankTag(Parameters):
@@ -41,17 +33,13 @@ class TankTags(Parameters):
     """Edge of the black square of each tag [m]."""
     corners: tuple[TankTag, ...] = Field(min_length=4)
     """Tags at the corners of the zone in which bars are thrown, upright; further ones improve the calibration."""
-    waterline: float | None = Field(default=None, ge=-100.0, le=100.0)
-    """Height of the water over the origin of the corners [m]; null where two tags show it."""
-    waterline_tags: tuple[int, int] | None = None
-    """Numbers of two tags, the left one first, whose centres are at the waterline, of the same size."""
+    waterline: float = Field(ge=-100.0, le=100.0)
+    """Height of the water over the origin of the corners [m]."""
 
     @model_validator(mode="after")
-    def _one_waterline(self) -> Self:
-        if (self.waterline is None) == (self.waterline_tags is None):
-            raise ValueError("expected either waterline or waterline_tags")
+    def _waterline_is_in_the_zone(self) -> Self:
         heights = [tag.y for tag in self.corners]
-        if self.waterline is not None and not min(heights) < self.waterline < max(heights):
+        if not min(heights) < self.waterline < max(heights):
             raise ValueError(
                 f"waterline is {self.waterline:g}, expected a height between those of the tank's tags, "
                 f"{min(heights):g} and {max(heights):g}"
@@ -136,7 +124,6 @@ class Markers(Parameters):
     def numbers(self) -> Iterator[int]:
         """Yield the number of every tag on tank, bars and robot."""
         yield from (tag.number for tag in self.tank.corners)
-        yield from self.tank.waterline_tags or ()
         yield from (tag.number for bar in (*self.bars, *self.robot.bars()) for tag in bar.tags)
 
     @model_validator(mode="after")
@@ -145,3 +132,17 @@ class Markers(Parameters):
         if twice := sorted({number for number in numbers if numbers.count(number) > 1}):
             raise ValueError(f"tag {twice[0]} is on two things: expected a number of its own for each")
         return self
+
+
+def markers_of(throwing: ThrowingKit, bars: Sequence[ThrowingBar]) -> Markers:
+    """Return the markers of a throwing kit's tank and bars."""
+    x, y = throwing.tank_length, throwing.tank_height
+    corners = tuple(TankTag(number=i, x=at[0], y=at[1]) for i, at in enumerate(((0, 0), (x, 0), (x, y), (0, y))))
+    tagged = []
+    for i, bar in enumerate(bars):
+        size, along = round(bar.tag_mm / 1000, 6), round(bar.tag_at_mm / 1000, 6)
+        numbers = ((_FIRST_BAR_TAG + 2 * i, along), (_FIRST_BAR_TAG + 2 * i + 1, -along))
+        tags = tuple(BarTag(number=number, size=size, along=at) for number, at in numbers)
+        length, width, mass = (round(value / 1000, 6) for value in (bar.length_mm, bar.width_mm, bar.mass_g))
+        tagged.append(TaggedBar(length=length, width=width, mass=mass, tags=tags))
+    return Markers(tank=TankTags(corners=corners, waterline=throwing.waterline), bars=tuple(tagged))

@@ -1,8 +1,9 @@
-"""Sheets of tags to print at their true size: A4 pages as SVG and PNG."""
+"""Sheets of tags to print at their true size: A4 pages as PNG, and all of them as PDF."""
 
 import io
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -14,110 +15,72 @@ from tasks.arrays import Bools
 
 _PAGE_MM, _MARGIN_MM, _GAP_MM, _TEXT_MM = (210.0, 297.0), 8.0, 4.0, 3.0
 _DPI = 300
+_PX_PER_MM = _DPI / 25.4
 _TANK_BORDER, _ROBOT_BORDER = 1.5, 4 / 3  # side of a label over that of its tag
-
-Rectangle = tuple[float, float, float, float]  # left, top, width, height [mm]
 
 
 @dataclass(frozen=True)
-class Label:
+class _Label:
     """Something to cut out."""
 
     text: str
     width: float  # [mm]
     height: float  # [mm]
-    black: tuple[Rectangle, ...]  # from its upper left corner
-
-
-@dataclass
-class _Page:
-    outlines: list[Rectangle] = field(default_factory=list)
-    black: list[Rectangle] = field(default_factory=list)
-    texts: list[tuple[float, float, str]] = field(default_factory=list)
+    tags: tuple[tuple[Bools, float, float, float], ...]
+    """Modules of each tag, True where black, the left and upper end of it from the upper left corner, and the edge of a
+    module [mm]."""
 
 
 def tag_sheets(markers: Markers, names: Sequence[str]) -> dict[str, bytes]:
-    """Draw all tags of a kit.
+    """Draw all tags of a kit whose bars have names, as pages ``NAME.png`` and as ``tags.pdf``.
 
-    Args:
-        markers: the tags of tank, bars, robot and board.
-        names: of the bars.
-
-    Returns:
-        Pages as ``NAME.svg`` and ``NAME.png``: the faces of the bars, to be glued on whole, so that their tags are
-        where the markers file says; the tags of the tank and the robot; the board.
-
-    Raises:
-        PuddleError: a number is not in the dictionary, or a label does not fit on the page.
+    The faces of the bars are to be glued on whole, so that their tags are where the markers file says; then come the
+    tags of the tank and the robot, and the board. Raises PuddleError if a label does not fit on the page.
     """
-    dictionary = markers.dictionary
+    dictionary, board = markers.dictionary, markers.board
     faces = []
     for bar, name in zip(markers.bars, names, strict=True):
-        width, height = 1000 * bar.width, 1000 * bar.length
-        black: list[Rectangle] = []
+        width, height, tags = 1000 * bar.width, 1000 * bar.length, []
         for tag in bar.tags:
-            size = 1000 * tag.size
+            size, black = 1000 * tag.size, modules(dictionary, tag.number)
             left, top = width / 2 + 1000 * tag.across - size / 2, height / 2 - 1000 * tag.along - size / 2
-            black += _squares(modules(dictionary, tag.number), left, top, size)
+            tags.append((black, left, top, size / len(black)))
         numbers = ", ".join(str(tag.number) for tag in bar.tags)
-        faces.append(Label(f"{name}: {numbers}", width, height, tuple(black)))
-    tank = [tag.number for tag in markers.tank.corners] + list(markers.tank.waterline_tags or ())
-    single = [_label(dictionary, f"tank {n}", n, 1000 * markers.tank.tag_size, _TANK_BORDER) for n in tank]
-    for link, bar in enumerate(markers.robot.bars()):
-        number = bar.tags[0].number
-        single.append(
-            _label(dictionary, f"link {link}: {number}", number, 1000 * markers.robot.tag_size, _ROBOT_BORDER)
-        )
-    board = markers.board
+        faces.append(_Label(f"{name}: {numbers}", width, height, tuple(tags)))
+    tank = [(f"tank {tag.number}", tag.number) for tag in markers.tank.corners]
+    robot = [(f"link {i}: {bar.tags[0].number}", bar.tags[0].number) for i, bar in enumerate(markers.robot.bars())]
+    single = [_single(dictionary, *tag, markers.tank.tag_size, _TANK_BORDER) for tag in tank]
+    single += [_single(dictionary, *tag, markers.robot.tag_size, _ROBOT_BORDER) for tag in robot]
     of_board = charuco_board(board, dictionary)
-    n_px = 8 * of_board.getDictionary().markerSize  # per square, more than it has modules
-    picture = of_board.generateImage((board.columns * n_px * 3, board.rows * n_px * 3), marginSize=0)
-    upright = np.rot90(picture) == 0
-    side = 1000 * board.square / (n_px * 3)
-    whole = Label(
-        f"board: squares of {1000 * board.square:g} mm",
-        1000 * board.square * board.rows,
-        1000 * board.square * board.columns,
-        tuple(_runs(upright, 0.0, 0.0, side)),
-    )
-    files: dict[str, bytes] = {}
+    n_px = 24 * of_board.getDictionary().markerSize  # per square, more than it has modules
+    black = np.rot90(of_board.generateImage((board.columns * n_px, board.rows * n_px), marginSize=0)) == 0
+    square = 1000 * board.square
+    text, sides = f"board: squares of {square:g} mm", (square * board.rows, square * board.columns)
+    whole = _Label(text, *sides, ((black, 0.0, 0.0, square / n_px),))
+    pages: dict[str, Image.Image] = {}
     for name, labels in (("faces", faces), ("tags", single), ("board", [whole])):
-        pages = _packed(labels)
-        for number, page in enumerate(pages, 1):
-            stem = name if len(pages) == 1 else f"{name}-{number}"
-            files[f"{stem}.svg"], files[f"{stem}.png"] = _svg(page), _png(page)
-    return files
+        of_name = _pages(labels)
+        pages |= {name if len(of_name) == 1 else f"{name}-{i}": page for i, page in enumerate(of_name, 1)}
+    files = {}
+    for name, page in pages.items():
+        out = io.BytesIO()
+        page.save(out, "PNG", dpi=(_DPI, _DPI), optimize=True)
+        files[f"{name}.png"] = out.getvalue()
+    out, (first, *others) = io.BytesIO(), (page.point(lambda grey: 255 * (grey > 128), "1") for page in pages.values())
+    dates = {"creationDate": time.gmtime(0), "modDate": time.gmtime(0)}  # the same kit gives the same bytes
+    first.save(out, "PDF", save_all=True, append_images=others, resolution=_DPI, **dates)
+    return files | {"tags.pdf": out.getvalue()}
 
 
-def _label(dictionary: Dictionary, text: str, number: int, size: float, border: float) -> Label:
-    side = size * border
-    at = (side - size) / 2
-    return Label(text, side, side, tuple(_squares(modules(dictionary, number), at, at, size)))
+def _single(dictionary: Dictionary, text: str, number: int, size_m: float, border: float) -> _Label:
+    black, size = modules(dictionary, number), 1000 * size_m
+    at = size * (border - 1) / 2
+    return _Label(text, size * border, size * border, ((black, at, at, size / len(black)),))
 
 
-def _squares(black: Bools, left: float, top: float, size: float) -> list[Rectangle]:
-    return _runs(black, left, top, size / len(black))
-
-
-def _runs(black: Bools, left: float, top: float, side: float) -> list[Rectangle]:
-    """Join the black squares of each row into rectangles, and equal ones of neighbouring rows."""
-    found: list[Rectangle] = []
-    open_: dict[tuple[int, int], int] = {}
-    for row in range(len(black) + 1):
-        padded = np.zeros(black.shape[1] + 2, dtype=np.int8)
-        padded[1:-1] = black[row] if row < len(black) else 0
-        change = np.flatnonzero(np.diff(padded))
-        runs = set(zip(change[::2].tolist(), change[1::2].tolist(), strict=True))
-        for run in sorted(open_.keys() - runs):
-            begin = open_.pop(run)
-            found.append((left + run[0] * side, top + begin * side, (run[1] - run[0]) * side, (row - begin) * side))
-        open_ |= dict.fromkeys(runs - open_.keys(), row)
-    return found
-
-
-def _packed(labels: Sequence[Label]) -> list[_Page]:
+def _pages(labels: Sequence[_Label]) -> list[Image.Image]:
     """Lay labels out in rows from the upper left, on as many pages as they need."""
-    pages, x, y, deepest = [_Page()], _MARGIN_MM, _MARGIN_MM, 0.0
+    pages, x, y, deepest = [_blank()], _MARGIN_MM, _MARGIN_MM, 0.0
     for label in sorted(labels, key=lambda label: -label.height):
         width, height = label.width, label.height + _TEXT_MM + _GAP_MM
         if width > _PAGE_MM[0] - 2 * _MARGIN_MM or height > _PAGE_MM[1] - 2 * _MARGIN_MM:
@@ -128,44 +91,27 @@ def _packed(labels: Sequence[Label]) -> list[_Page]:
         if x + width > _PAGE_MM[0] - _MARGIN_MM:
             x, y, deepest = _MARGIN_MM, y + deepest + _GAP_MM, 0.0
         if y + height > _PAGE_MM[1] - _MARGIN_MM:
-            pages.append(_Page())
+            pages.append(_blank())
             x, y, deepest = _MARGIN_MM, _MARGIN_MM, 0.0
-        page = pages[-1]
-        page.outlines.append((x, y, label.width, label.height))
-        page.black += [(x + left, y + top, w, h) for left, top, w, h in label.black]
-        page.texts.append((x, y + label.height + _TEXT_MM, label.text))
+        _draw(pages[-1], label, x, y)
         x, deepest = x + width + _GAP_MM, max(deepest, height)
     return pages
 
 
-def _svg(page: _Page) -> bytes:
-    width, height = _PAGE_MM
-    out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
-        f'viewBox="0 0 {width:g} {height:g}"><rect width="100%" height="100%" fill="#fff"/>'
-    ]
-    out += [_rectangle(at, 'fill="none" stroke="#999" stroke-width="0.1"') for at in page.outlines]
-    out += [_rectangle(at, 'shape-rendering="crispEdges"') for at in page.black]
-    style = f'font-family="sans-serif" font-size="{_TEXT_MM - 0.4:g}" fill="#555"'
-    out += [f'<text x="{x:.2f}" y="{y:.2f}" {style}>{text}</text>' for x, y, text in page.texts]
-    return "\n".join([*out, "</svg>\n"]).encode()
+def _blank() -> Image.Image:
+    return Image.new("L", (round(_PAGE_MM[0] * _PX_PER_MM), round(_PAGE_MM[1] * _PX_PER_MM)), 255)
 
 
-def _rectangle(at: Rectangle, style: str) -> str:
-    left, top, width, height = at
-    return f'<rect x="{left:.4f}" y="{top:.4f}" width="{width:.4f}" height="{height:.4f}" {style}/>'
+def _draw(page: Image.Image, label: _Label, x: float, y: float) -> None:
+    draw, font = ImageDraw.Draw(page), ImageFont.load_default(size=(_TEXT_MM - 0.4) * _PX_PER_MM)
 
+    def box(left: float, top: float, right: float, bottom: float) -> tuple[int, int, int, int]:
+        ends = [round(side * _PX_PER_MM) for side in (left, top, right, bottom)]
+        return ends[0], ends[1], ends[2] - 1, ends[3] - 1
 
-def _png(page: _Page) -> bytes:
-    per_mm = _DPI / 25.4
-    picture = Image.new("L", (round(_PAGE_MM[0] * per_mm), round(_PAGE_MM[1] * per_mm)), 255)
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(size=(_TEXT_MM - 0.4) * per_mm)
-    for shapes, style in ((page.outlines, {"outline": 150}), (page.black, {"fill": 0})):
-        for left, top, width, height in shapes:
-            box = [round(side * per_mm) for side in (left, top, left + width, top + height)]
-            draw.rectangle((box[0], box[1], box[2] - 1, box[3] - 1), **style)
-    for x, y, text in page.texts:
-        draw.text((x * per_mm, (y - _TEXT_MM + 0.3) * per_mm), text, fill=90, font=font)
-    out = io.BytesIO()
-    picture.save(out, "PNG", dpi=(_DPI, _DPI), optimize=True)
-    return out.getvalue()
+    draw.rectangle(box(x, y, x + label.width, y + label.height), outline=150)
+    draw.text((x * _PX_PER_MM, (y + label.height + 0.3) * _PX_PER_MM), label.text, fill=90, font=font)
+    for black, left, top, side in label.tags:
+        for row, column in np.argwhere(black):
+            at = (x + left + side * column, y + top + side * row)
+            draw.rectangle(box(*at, at[0] + side, at[1] + side), fill=0)

@@ -40,21 +40,16 @@ class Detector:
 
     markers: Markers
 
-    @property
-    def numbers(self) -> frozenset[int]:
-        """Numbers that it reports."""
-        return frozenset(self.markers.numbers())
-
     def find(self, picture: Picture, where: str) -> dict[int, Float64]:
         """Return (4, 2) corners [px] by the number of their tag.
 
-        Raises:
-            PuddleError: a tag of the markers file is seen twice; it names ``where``, the file and frame.
+        Raises PuddleError if a tag of the markers file is seen twice; it names ``where``, the file and frame.
         """
-        corners, numbers, _ = self._detector().detectMarkers(picture)
+        corners, numbers, _ = _detector_of(self.markers.dictionary).detectMarkers(picture)
+        known = set(self.markers.numbers())
         found: dict[int, Float64] = {}
         for number, four in zip([] if numbers is None else numbers.ravel().tolist(), corners, strict=True):
-            if number not in self.numbers:
+            if number not in known:
                 continue
             if number in found:
                 at = " and ".join("({:.0f}, {:.0f})".format(*seen.mean(axis=0)) for seen in (found[number], four[0]))
@@ -64,9 +59,6 @@ class Detector:
                 )
             found[number] = four[0].astype(np.float64)
         return found
-
-    def _detector(self) -> Any:
-        return _detector_of(self.markers.dictionary)
 
 
 @cache
@@ -93,17 +85,10 @@ def charuco_board(board: BoardOfMarkers, name: Dictionary) -> Any:
 
 
 def lens_of_board(path: Path, markers: Markers) -> tuple[Lens, tuple[int, int], str]:
-    """Calibrate a lens from a video of the printed board.
+    """Calibrate a lens from a video of the printed board, filmed as the throws are.
 
-    Args:
-        path: the video, filmed with the settings of the camera that films the throws.
-        markers: which board it is.
-
-    Returns:
-        The lens, the width and height of its pictures [px], and a line that says how well it fits.
-
-    Raises:
-        PuddleError: the board is seen in too few frames, or no lens fits.
+    Returns the lens, the width and height of its pictures [px], and a line that says how well it fits. Raises
+    PuddleError if the board is seen in too few frames, or no lens fits.
     """
     import cv2
 

@@ -14,13 +14,13 @@ from pipeline.store import disk
 from pipeline.store.tables import Columns, csv_of
 from pipeline.vision import require_vision
 from pipeline.vision.check_film import write_check_film
-from pipeline.vision.markers_file import Markers, TaggedBar, TankTag
+from pipeline.vision.markers_file import Markers, TaggedBar
 from pipeline.vision.tags import Detector, lens_of_board
 from pipeline.vision.video import frames
 from tasks.arrays import Float64, Ints
 from tasks.vision.bar_pose import BarPose, corner_noise, fit_bar, tag_corners
 from tasks.vision.plane import CalibrationError, Lens, SeenPlane, assumed_lens, fit_plane
-from tasks.vision.throw_spans import THROW_RULE, ThrowRule, throw_spans
+from tasks.vision.throw_spans import MIN_FRAMES, throw_spans
 
 _MOST_MISFIT_PX = 2.0  # of the tank's corners; paper bends, but not by more
 _MOST_BAR_MISFIT_PX = 1.0  # of a bar's corners in its median frame; sharp ones are seen to a tenth of that
@@ -37,8 +37,6 @@ class TrackOptions:
     """How many times slower than life the videos play: 8 for 240 frames per second stored at 30."""
     robot: bool = False
     """Whether the tags of a robot's links are tracked, through the whole video, instead of thrown bars."""
-    rule: ThrowRule = THROW_RULE
-    """When a throw begins and ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,19 +77,10 @@ class _Sightings:
 
 
 def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: TrackOptions) -> list[str]:
-    """Track the bars in videos; write the tracks file, the bars file and a film of each video.
+    """Track the bars in videos; write the tracks file (NAME.csv), NAME-bars.csv, and NAME-check.mp4 of each video.
 
-    Args:
-        videos: the videos; throws are numbered on from one to the next.
-        markers: which tag is where.
-        out: the tracks file, NAME.csv; beside it NAME-bars.csv, and NAME-check.mp4 for each video.
-        options: lens, slow motion, and what is tracked.
-
-    Returns:
-        Lines for the terminal.
-
-    Raises:
-        PuddleError: a video can't be read or calibrated, or holds no throw. Nothing was written.
+    Throws are numbered on from one video to the next. Returns lines for the terminal. Raises PuddleError if a video
+    can't be read or calibrated, or holds no throw; nothing was written.
     """
     if out.suffix != ".csv" or not out.parent.is_dir() or out.is_dir():
         raise PuddleError(f"--out: expected a file name that ends in .csv, in an existing folder, got {out}")
@@ -116,18 +105,9 @@ def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: T
 
 
 def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> tuple[list[VideoTracks], list[str]]:
-    """Track the bars in videos, or a robot in one.
+    """Track the bars in videos, or a robot in one. Returns what each video holds, and lines for the terminal.
 
-    Args:
-        videos: the videos; throws are numbered on from one to the next.
-        markers: which tag is where.
-        options: lens, slow motion, and what is tracked.
-
-    Returns:
-        What each video holds, and lines for the terminal.
-
-    Raises:
-        PuddleError: a video can't be read or calibrated, or holds nothing to track.
+    Raises PuddleError if a video can't be read or calibrated, or holds nothing to track.
     """
     require_vision()
     if options.robot and len(videos) > 1:
@@ -155,7 +135,7 @@ def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> t
             f"Its tags have the numbers from {markers.robot.first} on, see `robot` in the markers file."
             if options.robot
             else "A throw begins where all tags of a bar are seen inside the rectangle of the tank's corner tags, and "
-            f"lasts at least {options.rule.min_frames} frames."
+            f"lasts at least {MIN_FRAMES} frames."
         )
         names = ", ".join(map(str, videos))
         raise PuddleError(f"{names}: expected at least one {what}, found none. {advice}")
@@ -201,10 +181,10 @@ def _tracked(
 ) -> VideoTracks:
     """Calibrate a video and fit the poses of its bars."""
     plane, misfit = _plane(sightings, markers, lens)
-    plane, zone = _over_water(plane, sightings, markers)
+    over_water = np.array([(tag.x, tag.y - markers.tank.waterline) for tag in markers.tank.corners])
+    low, high = over_water.min(axis=0), over_water.max(axis=0)
     time, n_frames = sightings.time, len(sightings.time)
     interval = float(np.median(np.diff(time))) if n_frames > 1 else 1.0
-    n_dropped = int(np.maximum(np.round(np.diff(time) / interval) - 1, 0).sum())
     bars = markers.robot.bars() if options.robot else markers.bars
     fits = [_fits(sightings, plane, bar) for bar in bars]
     _check_bars(sightings.path, bars, fits)
@@ -221,8 +201,8 @@ def _tracked(
         if options.robot:
             spans: list[Ints] = [np.flatnonzero(n_seen)] if n_seen.any() else []
         else:
-            in_zone = ((pose[:, :2] >= zone[0]) & (pose[:, :2] <= zone[1])).all(axis=1)
-            spans = throw_spans(time, n_seen, pose, in_zone, n_tags=len(bar.tags), rule=options.rule)
+            in_zone = ((pose[:, :2] >= low) & (pose[:, :2] <= high)).all(axis=1)
+            spans = throw_spans(time, n_seen, pose, in_zone, n_tags=len(bar.tags))
         for span in spans:
             variance = np.array([np.diag(fit.covariance) for i in span if (fit := of_bar[i]) is not None])
             unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
@@ -239,20 +219,15 @@ def _tracked(
         plane,
         tuple(tracks),
         1 / interval,
-        tuple(_lines(sightings, tracks, misfit, typical, n_dropped, interval, options.robot)),
+        tuple(_lines(sightings, tracks, misfit, typical, interval, options.robot)),
     )
 
 
 def _lines(
-    sightings: _Sightings,
-    tracks: Sequence[Track],
-    misfit: float,
-    noise: float,
-    n_dropped: int,
-    interval: float,
-    robot: bool,
+    sightings: _Sightings, tracks: Sequence[Track], misfit: float, noise: float, interval: float, robot: bool
 ) -> list[str]:
     name = sightings.path.name
+    n_dropped = int(np.maximum(np.round(np.diff(sightings.time) / interval) - 1, 0).sum())
     seen, lost = sum(len(track.time) for track in tracks), sum(track.n_lost for track in tracks)
     lines = [
         f"{name}: {len(sightings.time)} frames, {1 / interval:.1f} per second, {n_dropped} dropped by the camera; the "
@@ -267,10 +242,7 @@ def _lines(
         )
     n_cut = sum(track.lost_from_sight for track in tracks)
     if n_cut and not robot:
-        lines.append(
-            f"{name}: {n_cut} throw{'s end' if n_cut > 1 else ' ends'} where the bar is lost from sight inside the "
-            "tank; the check film shows where"
-        )
+        lines.append(f"{name}: in {n_cut} throws the bar is lost from sight inside the tank; see the check film")
     return lines
 
 
@@ -303,10 +275,10 @@ def _check_bars(path: Path, bars: Sequence[TaggedBar], fits: Sequence[Sequence[B
 
 
 def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[SeenPlane, float]:
-    """Fit the plane of the tank's tags; returns the distances left, too [px]."""
+    """Fit the plane of the tank's tags in metres from the waterline; returns the distances left, too [px]."""
     path, tank = sightings.path, markers.tank
-    seen = [_still(sightings, tag) for tag in tank.corners]
-    metres = np.concatenate([tag_corners(tank.tag_size, tag.x, tag.y) for tag in tank.corners])
+    seen = [_still(sightings, tag.number) for tag in tank.corners]
+    metres = np.concatenate([tag_corners(tank.tag_size, tag.x, tag.y - tank.waterline) for tag in tank.corners])
     try:
         if lens is not None:
             plane, misfit = fit_plane(metres, np.concatenate(seen), lens)
@@ -325,9 +297,9 @@ def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[
     return plane, misfit
 
 
-def _still(sightings: _Sightings, tag: TankTag) -> Float64:
+def _still(sightings: _Sightings, number: int) -> Float64:
     """Return the (4, 2) median corners of a tag that does not move [px]."""
-    path, number = sightings.path, tag.number
+    path = sightings.path
     where = [i for i, tags in enumerate(sightings.tags) if number in tags]
     if not where:
         others = ", ".join(str(one) for one in sorted({one for tags in sightings.tags for one in tags}))
@@ -345,22 +317,3 @@ def _still(sightings: _Sightings, tag: TankTag) -> Float64:
             f"two where it was knocked."
         )
     return np.asarray(np.median(corners, axis=0))
-
-
-def _over_water(plane: SeenPlane, sightings: _Sightings, markers: Markers) -> tuple[SeenPlane, Float64]:
-    """Return the plane in metres from the waterline, and the (2, 2) lowest and highest corner of the zone in it [m]."""
-    tank, to_water = markers.tank, np.eye(3)
-    if tank.waterline_tags is None:
-        to_water[1, 2] = -float(tank.waterline or 0.0)
-    else:
-        pixels = [_still(sightings, TankTag(number=n, x=0, y=0)) for n in tank.waterline_tags]
-        left, right = (plane.metres(tag_pixels).mean(axis=0) for tag_pixels in pixels)
-        if right[0] <= left[0]:
-            raise PuddleError(
-                f"{sightings.path}: waterline_tags: expected the left tag first, got {tank.waterline_tags}"
-            )
-        c, s = (right - left) / np.linalg.norm(right - left)
-        to_water = np.array([[c, s, 0.0], [-s, c, s * left[0] - c * left[1]], [0.0, 0.0, 1.0]])
-    corners = np.array([(tag.x, tag.y, 1.0) for tag in tank.corners]) @ to_water.T
-    zone = np.array([corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)])
-    return SeenPlane(plane.lens, plane.to_rays @ np.linalg.inv(to_water)), zone

@@ -25,14 +25,9 @@ class Frame:
 
 
 def frames(path: Path, *, colour: bool = False) -> Iterator[Frame]:
-    """Yield the frames of a video with the times of the file, which need not be even.
+    """Yield the frames of a video, grey or in colour, with the times of the file, which need not be even.
 
-    Args:
-        path: the video.
-        colour: whether pictures have three channels, or are grey.
-
-    Raises:
-        PuddleError: the file is missing, is not a video, has an unknown codec, or is damaged; it names the frame.
+    Raises PuddleError if the file is missing, is not a video, has an unknown codec, or is damaged; it names the frame.
     """
     import av  # takes a tenth of a second to load
 
@@ -61,14 +56,9 @@ def frames(path: Path, *, colour: bool = False) -> Iterator[Frame]:
 
 @contextlib.contextmanager
 def film(path: Path, *, width: int, height: int, rate: float, quality: int = 23) -> Iterator[Any]:
-    """Write a film; yields the function that adds a picture, at a time [s] if one is given.
+    """Write an MP4 of an even size [px]; yields the function that adds a picture, at a time [s] if one is given.
 
-    Args:
-        path: the MP4 file.
-        width: even width of its pictures [px].
-        height: even height of its pictures [px].
-        rate: pictures per second.
-        quality: constant rate factor of x264, smaller for better pictures.
+    ``rate`` is in pictures per second; ``quality`` is x264's constant rate factor, smaller for better pictures.
     """
     import av
 

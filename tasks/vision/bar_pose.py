@@ -30,10 +30,7 @@ class BarPose:
 def tag_corners(size: float, across: float, along: float) -> Float64:
     """Return (4, 2) corners of a tag on its bar [m], from the one at its upper left on clockwise, as detectors do.
 
-    Args:
-        size: edge of the tag's black square [m].
-        across: position of its centre along the bar's short axis [m].
-        along: position of its centre along the bar's long axis [m].
+    ``size`` is the edge of its black square; its centre lies ``across`` along the short axis, ``along`` the long one.
     """
     half = size / 2
     corners = [(-half, half), (half, half), (half, -half), (-half, -half)]
@@ -44,18 +41,10 @@ def fit_bar(corners: Float64, seen: Float64, jacobian: Float64) -> BarPose:
     """Fit the pose of a bar.
 
     Args:
-        corners: (n_corners, 2) corners of its tags in its own frame [m].
+        corners: (n_corners, 2) corners of its tags in its own frame [m], at least 4.
         seen: (n_corners, 2) where they are seen in the plane [m].
         jacobian: (n_corners, 2, 2) derivatives of ``seen`` with respect to pixels [m/px].
-
-    Returns:
-        The pose.
-
-    Raises:
-        ValueError: there are fewer than 4 corners.
     """
-    if len(corners) < 4:
-        raise ValueError(f"a bar: expected at least 4 corners, got {len(corners)}")
     own, there = corners - corners.mean(axis=0), seen - seen.mean(axis=0)
     (a, b), (c, d) = own.T @ there
     angle = np.arctan2(b - c, a + d)
@@ -80,15 +69,10 @@ def _turned(points: Float64, angle: float) -> Float64:
 
 
 def corner_noise(chi2: Float64, freedom: Ints) -> tuple[float, Float64]:
-    """Estimate the deviation of the corners' noise [px], of all frames and of each.
+    """Estimate the deviation of the corners' noise [px] from the (n_frames,) sums of squares that the fits leave.
 
-    Args:
-        chi2: (n_frames,) sums of squares that the fits leave [px²].
-        freedom: (n_frames,) their degrees of freedom.
-
-    Returns:
-        The median frame's deviation, and (n_frames,) deviations that lean on it: a frame counts as much as
-        its degrees of freedom, against 8 of the median's.
+    Returns the median frame's deviation, and (n_frames,) deviations that lean on it: a frame counts as much as its
+    degrees of freedom, against 8 of the median's.
     """
     typical = max(float(np.median(chi2 / freedom)), LEAST_NOISE_PX**2)
     of_each = (_PRIOR * typical + chi2) / (_PRIOR + freedom)

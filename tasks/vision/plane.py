@@ -5,15 +5,14 @@ distortion. The lens is OpenCV's: radial terms k1, k2, k3 and tangential terms p
 coordinates, x to the right and y down; in the tank x is to the right and y up.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from tasks.arrays import Float64, Floats
 
 _N_INVERSIONS = 20  # fixed-point iterations of the distortion; each gains a digit for the lenses of phones
-_N_FITS = 20  # Gauss-Newton iterations
 _FOCAL_WIDTHS = 1.2  # focal length that is assumed of an unknown lens, in widths of the picture
 
 
@@ -85,7 +84,7 @@ def fit_plane(metres: Float64, pixels: Float64, lens: Lens, *, radial: bool = Fa
     """Fit the plane through points whose pixels are known, by least squares of the distances in the picture.
 
     Args:
-        metres: (n_points, 2) points of the plane [m].
+        metres: (n_points, 2) points of the plane [m], at least 8.
         pixels: (n_points, 2) where they are seen [px].
         lens: the lens.
         radial: whether to fit the lens's k1 too, where no board has been filmed.
@@ -94,11 +93,8 @@ def fit_plane(metres: Float64, pixels: Float64, lens: Lens, *, radial: bool = Fa
         The plane, and the root mean square of the distances left, per degree of freedom [px].
 
     Raises:
-        CalibrationError: there are fewer than 4 points (6 with ``radial``), or they lie on a line.
+        CalibrationError: the points lie on a line.
     """
-    least = 6 if radial else 4
-    if len(metres) < least:
-        raise CalibrationError(f"expected at least {least} points, got {len(metres)}")
     rays, (x, y), zero, one = lens.rays(pixels), metres.T, np.zeros(len(metres)), np.ones(len(metres))
     first = np.stack((x, y, one, zero, zero, zero, -rays[:, 0] * x, -rays[:, 0] * y, -rays[:, 0]), axis=1)
     second = np.stack((zero, zero, zero, x, y, one, -rays[:, 1] * x, -rays[:, 1] * y, -rays[:, 1]), axis=1)
@@ -112,19 +108,5 @@ def fit_plane(metres: Float64, pixels: Float64, lens: Lens, *, radial: bool = Fa
         return SeenPlane(bent, np.append(values[:8], 1.0).reshape(3, 3))
 
     values = np.append(start[:8] / start[8], lens.distortion[:1] if radial else ())
-    found = _least_squares(lambda guess: (plane(guess).pixels(metres) - pixels).ravel(), values)
-    left = plane(found).pixels(metres) - pixels
-    return plane(found), float(np.sqrt(np.square(left).sum() / max(left.size - len(values), 1)))
-
-
-def _least_squares(residuals: Callable[[Float64], Float64], values: Float64) -> Float64:
-    """Minimise the sum of squares by Gauss-Newton steps with derivatives by differences."""
-    for _ in range(_N_FITS):
-        here = residuals(values)
-        steps = 1e-6 * np.maximum(np.abs(values), 1e-2)
-        slopes = [(residuals(values + step) - here) / step.sum() for step in np.diag(steps)]
-        change = np.linalg.lstsq(np.stack(slopes, axis=1), -here, rcond=None)[0]
-        values = values + change
-        if np.abs(change / steps).max() < 1e-2:
-            break
-    return values
+    fit = least_squares(lambda guess: (plane(guess).pixels(metres) - pixels).ravel(), values, x_scale="jac", xtol=1e-12)
+    return plane(fit.x), float(np.sqrt(2 * fit.cost / max(pixels.size - len(values), 1)))

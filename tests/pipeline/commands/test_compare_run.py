@@ -16,8 +16,7 @@ from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
 from pipeline.fabrication.kit_files import KIT, timeline_json, write_folder
 from pipeline.store.design_file import design_document
-from pipeline.vision.kit_markers import markers_of
-from pipeline.vision.markers_file import RobotTags
+from pipeline.vision.markers_file import RobotTags, markers_of
 from tasks.analysis.built_run import steady_speed
 from tasks.fabrication.calibration import Calibration
 from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit

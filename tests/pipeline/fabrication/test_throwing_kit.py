@@ -30,7 +30,9 @@ def test_every_file_is_there_and_every_link_leads_somewhere(kit):
     assert held == {*manifest["files"], "throwing-kit.json"}
     page = (kit / "index.html").read_text()
     links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
-    assert len(links) >= 13 and links <= held
+    assert len(links) >= 10 and links <= held
+    pdf = (kit / "tags.pdf").read_bytes()
+    assert pdf.count(b"/Type /Page\n") == len(list(kit.glob("*.png"))) and b"/MediaBox [ 0 0 595.2" in pdf  # 210 mm
     rows = list(csv.DictReader(io.StringIO((kit / "bars.csv").read_text())))
     assert [row["mass_g"] for row in rows] == ["196.0"] * 4
 
@@ -81,17 +83,6 @@ def test_the_board_is_found_on_its_sheet(kit):
     per_mm = 300 / 25.4
     along = np.linalg.norm(corners[numbers.ravel() == 1] - corners[numbers.ravel() == 0]) / per_mm
     assert along == pytest.approx(36.0, abs=0.1)
-
-
-def test_svg_and_png_show_the_same(kit):
-    """The area of all black rectangles, in mm²."""
-    for sheet in ("faces", "tags", "board"):
-        text = (kit / f"{sheet}.svg").read_text()
-        assert 'width="210mm" height="297mm"' in text
-        sides = re.findall(r'width="([\d.]+)" height="([\d.]+)" shape-rendering', text)
-        area = sum(float(width) * float(height) for width, height in sides)
-        dark = (np.array(Image.open(kit / f"{sheet}.png").convert("L")) < 10).mean() * 210 * 297
-        assert dark == pytest.approx(area, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.vision.kit_markers import markers_of
+from pipeline.vision.markers_file import markers_of
 from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
 from tasks.fabrication.throwing_bars import throwing_bars
 from tasks.residual.throws import Starts

@@ -54,8 +54,3 @@ def test_a_blurred_frame_has_more_noise_and_none_has_less_than_can_be_known():
     typical, of_each = corner_noise(np.array([13.0, 13.0, 13.0, 13 * 25.0]), np.full(4, 13))
     assert typical == 1.0 and of_each[0] == 1.0 and of_each[3] == pytest.approx(np.sqrt((8 + 13 * 25) / 21))
     assert corner_noise(np.zeros(2), np.full(2, 5))[0] == LEAST_NOISE_PX
-
-
-def test_too_few_corners():
-    with pytest.raises(ValueError, match="expected at least 4 corners, got 2"):
-        fit_bar(TWO_TAGS[:2], TWO_TAGS[:2], np.tile(np.eye(2), (2, 1, 1)))

@@ -50,10 +50,7 @@ def test_noise_of_the_corners_is_what_the_fit_leaves():
     assert misfit == pytest.approx(0.3, rel=3 * 0.12)
 
 
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [(GRID[:3], "expected at least 4 points, got 3"), (np.column_stack([np.linspace(0, 1, 5)] * 2), "lie on a line")],
-)
-def test_points_that_make_no_plane(points, message):
-    with pytest.raises(CalibrationError, match=message):
-        fit_plane(points.astype(float), PLANE.pixels(points.astype(float)), BENT)
+def test_points_that_make_no_plane():
+    line = np.column_stack([np.linspace(0, 1, 5)] * 2)
+    with pytest.raises(CalibrationError, match="lie on a line"):
+        fit_plane(line, PLANE.pixels(line), BENT)

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from tasks.vision.throw_spans import ThrowRule, throw_spans
-
-RULE = ThrowRule()
+from tasks.vision.throw_spans import throw_spans
 
 
 def spans(seen, x=None, inside=None, n_tags=2, rate=60.0):
@@ -18,7 +16,6 @@ def spans(seen, x=None, inside=None, n_tags=2, rate=60.0):
         pose,
         np.ones(n, bool) if inside is None else np.array(inside, bool),
         n_tags=n_tags,
-        rule=RULE,
     )
     return [of.tolist() for of in found]
 
