@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tasks.arrays import Int64
 from tasks.residual import MeasuredTransitions
 
 _LAG = (6, 3.0)  # steps and frames, whichever is longer, over which the acceleration before a state is taken
@@ -42,18 +41,12 @@ def memory(transitions: MeasuredTransitions, time_step: float, frame_interval: f
 
     Each row below the surface is compared with its nearest neighbours in other throws. Within such a neighbourhood the
     residual is regressed on the state and on the acceleration over the steps before; of a medium that acts by the state
-    alone, the acceleration explains nothing.
-
-    Args:
-        transitions: rows with their uncertainty.
-        time_step: of the simulation [s].
-        frame_interval: typical interval between frames [s]; what happens within one is interpolated.
-
-    Returns:
-        The dependence.
+    alone, the acceleration explains nothing. What happens within the typical interval between frames [s] is
+    interpolated, so that the steps before reach over several.
     """
     lag = max(_LAG[0], round(_LAG[1] * frame_interval / time_step))
-    previous = _rows_before(transitions, lag)
+    row_of = {pair: row for row, pair in enumerate(zip(transitions.throw, transitions.step, strict=True))}
+    previous = np.array([row_of.get((throw, step - lag), -1) for throw, step in row_of], dtype=np.int64)
     length = transitions.length_scale
     wet = transitions.state[:, 1] < -np.hypot(length, 1 / length) / 2
     spread = transitions.residual[wet, 3:5].std(axis=0) if wet.any() else np.zeros(2)
@@ -82,10 +75,3 @@ def memory(transitions: MeasuredTransitions, time_step: float, frame_interval: f
     errors = np.array(slopes) - share * np.array(weights)
     sd = float(np.sqrt(np.sum(errors**2) * len(errors) / n_throws)) / max(total, 1e-12)
     return Memory(len(rows), share, sd)
-
-
-def _rows_before(transitions: MeasuredTransitions, lag: int) -> Int64:
-    """Return the row of the same throw ``lag`` steps before each row, or -1."""
-    pairs = list(zip(transitions.throw.tolist(), transitions.step.tolist(), strict=True))
-    row_of = {pair: row for row, pair in enumerate(pairs)}
-    return np.array([row_of.get((throw, step - lag), -1) for throw, step in pairs], dtype=np.int64)

@@ -26,22 +26,29 @@ class Fall:
 
 
 def check_falls(transitions: MeasuredTransitions, gravity: float, time_step: float) -> Fall:
-    """Refuse tracks in which bars fall upward, or in air far faster or slower than bars do.
+    """Return the fall of bars in air. Raises TrackError if y grows downward, or the waterline, scale or clock is wrong.
 
-    Args:
-        transitions: rows of all throws.
-        gravity: [m/s²].
-        time_step: of the simulation [s].
-
-    Returns:
-        The fall of bars in air.
-
-    Raises:
-        TrackError: y grows downward, the waterline is too high, or the scale or the clock is wrong.
+    Bars that fall below the surface as in air tell a waterline that is too high, because drag and buoyancy both hold up
+    a bar that sinks. One that is too high by less than a bar's length goes unnoticed.
     """
-    _refuse_upward_falls(transitions, gravity, time_step)
-    _refuse_falls_below_water(transitions, gravity, time_step)
-    fall = fall_in_air(transitions, gravity, time_step)
+    a_x, a_y = transitions.residual[:, 3:5].T / time_step
+    level = np.abs(a_x) < _OF_FREE_FALL * gravity
+    up, down = (level & (np.abs(a_y - gravity + sign * gravity) < _OF_FREE_FALL * gravity) for sign in (-1, 1))
+    if up.sum() > max(_MORE_UP * down.sum(), _LEAST_UP * len(up)):
+        raise TrackError(
+            f"throw {int(transitions.throw[np.argmax(up)])}, and others: bars fall freely upward: expected them to "
+            f"fall down: check tracks.flip_y (does y grow downward, as pixels do?)"
+        )
+    _, y, _, _, vy, _ = transitions.state.T
+    reach = np.hypot(transitions.length_scale, 1 / transitions.length_scale) / 2
+    sinks = (y < -reach) & (y > -1.5 * reach) & (vy < 0)
+    free = sinks & (np.hypot(a_x, a_y) < _OF_FREE_FALL * gravity)
+    if free.sum() > max(_LEAST_FALLING, _LEAST_SHARE_FALLING * sinks.sum()):
+        raise TrackError(
+            f"throw {int(transitions.throw[np.argmax(free)])}, and others: bars fall freely below y = 0: expected the "
+            f"water to hold them up: check that y is 0 at the waterline"
+        )
+    fall = _fall_in_air(transitions, gravity, time_step)
     share = -fall.acceleration / gravity if gravity else 1.0
     if falls_oddly(fall, gravity) and not 1 / _MOST_GRAVITY_OFF < share < _MOST_GRAVITY_OFF:
         raise TrackError(
@@ -52,46 +59,8 @@ def check_falls(transitions: MeasuredTransitions, gravity: float, time_step: flo
     return fall
 
 
-def _refuse_upward_falls(transitions: MeasuredTransitions, gravity: float, time_step: float) -> None:
-    """Refuse tracks in which bars fall freely upward and hardly ever down: y grows downward."""
-    a_x, a_y = transitions.residual[:, 3:5].T / time_step
-    level = np.abs(a_x) < _OF_FREE_FALL * gravity
-    up, down = (level & (np.abs(a_y - gravity + sign * gravity) < _OF_FREE_FALL * gravity) for sign in (-1, 1))
-    if up.sum() > max(_MORE_UP * down.sum(), _LEAST_UP * len(up)):
-        raise TrackError(
-            f"throw {int(transitions.throw[np.argmax(up)])}, and others: bars fall freely upward: expected them to "
-            f"fall down: check tracks.flip_y (does y grow downward, as pixels do?)"
-        )
-
-
-def _refuse_falls_below_water(transitions: MeasuredTransitions, gravity: float, time_step: float) -> None:
-    """Refuse tracks whose bars fall below the surface as in air: drag and buoyancy both hold up a bar that sinks.
-
-    A waterline that is too high by less than a bar's length goes unnoticed, because part of the bar is in the water.
-    """
-    a_x, a_y = transitions.residual[:, 3:5].T / time_step
-    _, y, _, _, vy, _ = transitions.state.T
-    reach = np.hypot(transitions.length_scale, 1 / transitions.length_scale) / 2
-    sinks = (y < -reach) & (y > -1.5 * reach) & (vy < 0)
-    free = sinks & (np.hypot(a_x, a_y) < _OF_FREE_FALL * gravity)
-    if free.sum() > max(_LEAST_FALLING, _LEAST_SHARE_FALLING * sinks.sum()):
-        raise TrackError(
-            f"throw {int(transitions.throw[np.argmax(free)])}, and others: bars fall freely below y = 0: expected the "
-            f"water to hold them up: check that y is 0 at the waterline"
-        )
-
-
-def fall_in_air(transitions: MeasuredTransitions, gravity: float, time_step: float) -> Fall:
-    """Estimate the acceleration of bars whose corners are all above the water, from their residuals.
-
-    Args:
-        transitions: rows of all throws.
-        gravity: [m/s²].
-        time_step: of the simulation [s].
-
-    Returns:
-        The acceleration and its deviation over throws.
-    """
+def _fall_in_air(transitions: MeasuredTransitions, gravity: float, time_step: float) -> Fall:
+    """Estimate the acceleration of bars whose corners are all above the water, from their residuals."""
     length = transitions.length_scale
     dry = transitions.state[:, 1] > np.hypot(length, 1 / length) / 2
     if not dry.any():

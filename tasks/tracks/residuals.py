@@ -41,25 +41,6 @@ class TrackReport:
     memory: Memory
 
 
-def _checked_paths(table: TrackTable, bars: Bars, tracks: Tracks) -> tuple[Paths, Float64]:
-    """Return the throws in the simulation's units, and the (n_throws,) long axes of their bars [m].
-
-    Args:
-        table: the tracks.
-        bars: the bar of each throw.
-        tracks: units, axes and scale.
-
-    Raises:
-        TrackError: something is wrong with a throw or a bar.
-    """
-    long_axes = length_scales(bars, tracks)
-    paths = paths_of(table, tracks)
-    missing = [int(throw) for throw in paths.throw if int(throw) not in long_axes]
-    if missing:
-        raise TrackedBarError(f"throw {missing[0]} has no bar: give its length, width and mass")
-    return paths, np.array([long_axes[int(throw)] for throw in paths.throw])
-
-
 @dataclass(frozen=True, eq=False)
 class _Estimate:
     """What smoothed poses alone say of the throws."""
@@ -81,17 +62,7 @@ class _Estimate:
 def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> Paths:
     """Return the throws in the simulation's units, if networks can learn from them.
 
-    Args:
-        table: the tracks.
-        bars: the bar of each throw.
-        tracks: units, axes and scale.
-        physics: constants of the base simulator.
-
-    Returns:
-        The throws.
-
-    Raises:
-        TrackError: something is wrong with a throw or a bar, or with how bars fall.
+    Raises TrackError if something is wrong with a throw or a bar, or with how bars fall.
     """
     return _estimate(table, bars, tracks, physics).paths
 
@@ -119,25 +90,25 @@ def residual_transitions(
     """
     first = _estimate(table, bars, tracks, physics)
     paths, turned, smoothed, transitions = first.paths, first.contacts, first.smoothed, first.transitions
-    recalled = memory(transitions, physics.time_step, _typical_interval(paths))
+    interval = _typical_interval(paths)
+    recalled = memory(transitions, physics.time_step, interval)
     if tracks.fit == "rollouts":
         smoothed, in_range = _rolled_out(first, physics, n_iterations)
         transitions = _transitions(paths, first.long_axes, smoothed, physics, first.usable & in_range)
     typical = np.median(transitions.residual_sd[:, 3:], axis=0)
-    where = [_where(paths, frames, axis) for frames, axis in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
     report = TrackReport(
         n_throws=len(paths.throw),
         n_frames=int(paths.seen.sum()),
-        frame_interval=_typical_interval(paths),
+        frame_interval=interval,
         n_gaps=first.n_gaps,
         n_rows_in_gaps=first.n_rows_in_gaps,
-        noise=(smoothed[0].noise.measurement, smoothed[1].noise.measurement, smoothed[2].noise.measurement),
+        noise=(smoothed[0].noise, smoothed[1].noise, smoothed[2].noise),
         sd_given=paths.sd is not None,
         residual_sd=(float(typical[0]), float(typical[1]), float(typical[2])),
         n_contacts=(n_contacts(turned.left), n_contacts(turned.right), n_contacts(turned.floor)),
-        contact_at=(where[0], where[1], where[2]),
+        contact_at=(_where(paths, turned.left, 0), _where(paths, turned.right, 0), _where(paths, turned.floor, 1)),
         n_rows_at_contacts=first.n_rows_at_contacts,
-        slowest_contact=slowest_contact(_typical_interval(paths), first.position_sd),
+        slowest_contact=slowest_contact(interval, first.position_sd),
         fall=first.fall,
         memory=recalled,
     )
@@ -146,8 +117,11 @@ def residual_transitions(
 
 def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> _Estimate:
     """Check throws, smooth their poses, and compare each step with the base simulator's."""
-    paths, long_axes = _checked_paths(table, bars, tracks)
-    dt = physics.time_step
+    of_bars = length_scales(bars, tracks)
+    paths = paths_of(table, tracks)
+    if missing := [int(throw) for throw in paths.throw if int(throw) not in of_bars]:
+        raise TrackedBarError(f"throw {missing[0]} has no bar: give its length, width and mass")
+    long_axes, dt = np.array([of_bars[int(throw)] for throw in paths.throw]), physics.time_step
     n_steps = np.floor(paths.time[:, -1] / dt + 1e-6).astype(int)
     if (n_steps < 1).any():
         throw = int(paths.throw[int(np.argmin(n_steps))])
@@ -155,12 +129,14 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
     step = np.minimum(np.arange(n_steps.max() + 1), n_steps[:, None])
     time = np.minimum(step * dt, paths.time[:, -1:])
     smoothed = _smoothed(paths, paths.pose, time)
-    position_sd = smoothed[0].noise.measurement, smoothed[1].noise.measurement
+    position_sd = smoothed[0].noise, smoothed[1].noise
     turned = contacts(paths, long_axes, position_sd)
 
     real = np.arange(n_steps.max()) < n_steps[:, None]
-    in_gap, n_gaps = _in_gaps(paths, time)
-    at_contact = _near_frames(paths, turned.around, time)
+    gap, last = _gaps(paths), paths.time.shape[1] - 1
+    in_gap = _inside(paths, [(throw, frame, frame + 1) for throw, frame in np.argwhere(gap)], time)
+    around = [(throw, max(frame - 1, 0), min(frame + 1, last)) for throw, frame in np.argwhere(turned.around)]
+    at_contact = _inside(paths, around, time)
     usable = real & ~in_gap & ~at_contact
     if not usable.any():
         raise TrackError("every step is in a gap between frames or at a wall or the floor: film throws in open water")
@@ -172,7 +148,7 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
         smoothed,
         position_sd,
         turned,
-        n_gaps=n_gaps,
+        n_gaps=int(gap.sum()),
         n_rows_in_gaps=int((real & in_gap).sum()),
         n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
         usable=usable,
@@ -183,31 +159,21 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
 
 def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
     """Smooth each coordinate of (n_throws, n_frames, 3) poses."""
-    return [
-        smooth(
-            Measured(paths.time, pose[..., axis], paths.seen, None if paths.sd is None else paths.sd[..., axis]), time
-        )
-        for axis in range(3)
-    ]
+    sds = [None] * 3 if paths.sd is None else [paths.sd[..., axis] for axis in range(3)]
+    return [smooth(Measured(paths.time, pose[..., axis], paths.seen, sds[axis]), time) for axis in range(3)]
 
 
 def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[list[Smoothed], Bools]:
     """Fit a model of the medium, roll the throws out, and smooth by how much the poses seen differ from them.
 
-    Args:
-        first: what smoothed poses alone say.
-        physics: constants of the base simulator.
-        n_iterations: iterations of the fit.
-
-    Returns:
-        The states, and which of the (n_throws, n_steps) steps begin no faster than smoothed poses ever do: how fast a
-        bar was before its first frame, drag soon hides.
+    Returns the states, and which of the (n_throws, n_steps) steps begin no faster than smoothed poses ever do: how fast
+    a bar was before its first frame, drag soon hides.
     """
     from tasks.residual.rollouts import SeenPaths, fit_medium, follow  # imports torch
 
     paths = first.paths
     at_frames = _smoothed(paths, paths.pose, paths.time)
-    noise = np.array([coordinate.noise.measurement for coordinate in at_frames])
+    noise = np.array([coordinate.noise for coordinate in at_frames])
     begins = first.contacts.any
     begins[:, 0] = True
     begins[:, 1:] |= _gaps(paths)
@@ -241,23 +207,11 @@ def _gaps(paths: Paths) -> Bools:
     return np.asarray(interval > _LONGEST_GAP * np.nanmedian(interval, axis=1, keepdims=True))
 
 
-def _in_gaps(paths: Paths, time: Float64) -> tuple[Bools, int]:
-    """Return which of the (n_throws, n_steps + 1) times begin a step inside a long gap, and the number of gaps."""
-    gap = _gaps(paths)
+def _inside(paths: Paths, spans: list[tuple[int, int, int]], time: Float64) -> Bools:
+    """Return which of the steps between (n_throws, n_steps + 1) times touch spans of a throw from frame to frame."""
     inside = np.zeros((len(time), time.shape[1] - 1), dtype=bool)
-    for throw, frame in np.argwhere(gap):
-        begin, end = paths.time[throw, frame], paths.time[throw, frame + 1]
-        inside[throw] |= (time[throw, 1:] > begin) & (time[throw, :-1] < end)
-    return inside, int(gap.sum())
-
-
-def _near_frames(paths: Paths, frames: Bools, time: Float64) -> Bools:
-    """Return which steps touch the intervals on both sides of some (n_throws, n_frames) frames."""
-    inside = np.zeros((len(time), time.shape[1] - 1), dtype=bool)
-    last = paths.time.shape[1] - 1
-    for throw, frame in np.argwhere(frames):
-        begin, end = paths.time[throw, max(frame - 1, 0)], paths.time[throw, min(frame + 1, last)]
-        inside[throw] |= (time[throw, 1:] > begin) & (time[throw, :-1] < end)
+    for throw, begin, end in spans:
+        inside[throw] |= (time[throw, 1:] > paths.time[throw, begin]) & (time[throw, :-1] < paths.time[throw, end])
     return inside
 
 

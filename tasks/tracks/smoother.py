@@ -40,14 +40,6 @@ class Measured:
     sd: Float64 | None = None  # (n_throws, n_frames) deviation of each measurement; None to estimate one for all
 
 
-@dataclass(frozen=True)
-class NoiseModel:
-    """What all throws of a coordinate share."""
-
-    process: float  # root of the spectral density q of the acceleration's noise [m/s³ √s] or [rad/s³ √s]
-    measurement: float  # deviation r of a measurement [m] or [rad]; the root mean square of those given
-
-
 @dataclass(frozen=True, eq=False)
 class Smoothed:
     """States at the given times; axis 0 is the throw, axis 1 the time."""
@@ -55,18 +47,13 @@ class Smoothed:
     mean: Float64  # (n_throws, n_times, 3) position, velocity, acceleration
     covariance: Float64  # (n_throws, n_times, 3, 3)
     with_next: Float64  # (n_throws, n_times, 3, 3) covariance with the state at the next time; 0 for the last
-    noise: NoiseModel
+    noise: float  # deviation r of a measurement [m] or [rad]; the root mean square of those given
 
 
 def smooth(measured: Measured, times: Float64) -> Smoothed:
-    """Estimate the states of a coordinate at given times.
+    """Estimate the states of a coordinate of all throws, their covariances, and the noise.
 
-    Args:
-        measured: the coordinate of all throws.
-        times: (n_throws, n_times) times within each throw's frames, increasing; padding repeats the last time [s].
-
-    Returns:
-        States, their covariances, and the noise.
+    ``times`` is (n_throws, n_times), increasing within each throw's frames; padding repeats the last time [s].
     """
     scale = _Scale.of(measured)
     at_frames = _Chain(measured.time, measured.value - measured.value[:, :1], measured.seen, measured.sd, scale)
@@ -127,12 +114,15 @@ class _Chain:
     """Points in time, some of them measured, of all throws at once; all in units of the scale."""
 
     def __init__(self, time: Float64, value: Float64, seen: Bools, sd: Float64 | None, scale: _Scale) -> None:
-        self.interval = np.diff(time) / scale.time
+        self.interval = d = np.diff(time) / scale.time
         self.value = value / scale.way
         self.seen = seen
         self.sd = None if sd is None else np.maximum(sd / scale.way, _LEAST_NOISE)
-        self.step = _transition(self.interval)
-        self.spread = _process_noise(self.interval)
+        zero, one = np.zeros_like(d), np.ones_like(d)
+        self.step = _matrices(((one, d, d**2 / 2), (zero, one, d), (zero, zero, one)))
+        # The covariance that white noise of density 1 in the acceleration's rate adds over an interval.
+        rows = ((d**5 / 20, d**4 / 8, d**3 / 6), (d**4 / 8, d**3 / 3, d**2 / 2), (d**3 / 6, d**2 / 2, d))
+        self.spread = _matrices(rows)
 
     def filter(self, noise: _Noise, weight: Float64) -> tuple[Float64, Float64, Float64, Float64, float, float, int]:
         """Return the predicted and filtered means and covariances, and sums over innovations.
@@ -177,8 +167,7 @@ class _Chain:
         for k in range(means.shape[1] - 2, -1, -1):
             F = self.step[:, k]
             gain = np.linalg.solve(predicted_covariances[:, k + 1], F @ covariances[:, k]).transpose(0, 2, 1)
-            still = self.interval[:, k] == 0
-            gain[still] = _I
+            gain[self.interval[:, k] == 0] = _I
             means[:, k] += np.einsum("nij,nj->ni", gain, means[:, k + 1] - predicted[:, k + 1])
             change = covariances[:, k + 1] - predicted_covariances[:, k + 1]
             covariances[:, k] += gain @ change @ gain.transpose(0, 2, 1)
@@ -199,25 +188,8 @@ class _Chain:
         return np.where(moved, (_FREEDOM + _N_STATES) / (_FREEDOM + np.maximum(squared, 0)), 1.0)
 
 
-def _transition(interval: Float64) -> Float64:
-    F = np.zeros((*interval.shape, 3, 3))
-    F[...] = _I
-    F[..., 0, 1] = F[..., 1, 2] = interval
-    F[..., 0, 2] = interval**2 / 2
-    return F
-
-
-def _process_noise(interval: Float64) -> Float64:
-    """Return the covariance that white noise of density 1 in the acceleration's rate adds over an interval."""
-    d = interval
-    Q = np.empty((*d.shape, 3, 3))
-    Q[..., 0, 0] = d**5 / 20
-    Q[..., 0, 1] = Q[..., 1, 0] = d**4 / 8
-    Q[..., 0, 2] = Q[..., 2, 0] = d**3 / 6
-    Q[..., 1, 1] = d**3 / 3
-    Q[..., 1, 2] = Q[..., 2, 1] = d**2 / 2
-    Q[..., 2, 2] = d
-    return Q
+def _matrices(rows: tuple[tuple[Float64, ...], ...]) -> Float64:
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _at(measured: Measured, times: Float64, scale: _Scale, noise: _Noise, weight: Float64) -> Smoothed:
@@ -236,41 +208,29 @@ def _at(measured: Measured, times: Float64, scale: _Scale, noise: _Noise, weight
     sd = None if measured.sd is None else merged(measured.sd, 1.0)
     chain = _Chain(both[rows, order], merged(measured.value - measured.value[:, :1], 0.0), seen, sd, scale)
     interval = np.maximum(np.cumsum(order < n_frames, axis=1)[:, :-1] - 1, 0)
-    spread = np.minimum(interval, max(n_frames - 2, 0))
-    weight_at = np.take_along_axis(weight, spread, axis=1)
+    weight_at = np.take_along_axis(weight, np.minimum(interval, max(n_frames - 2, 0)), axis=1)
     means, covariances, with_next = chain.smoothed(noise, weight_at)
 
     unit = scale.way / scale.time ** np.arange(_N_STATES)
     mean = means[rows, rank] * unit
     mean[..., 0] += measured.value[:, :1]
     units = unit[:, None] * unit
-    # The covariance of two of the times with frames between them: the product of the gains in between.
-    between = _between(covariances, with_next, rank)
-    return Smoothed(mean, covariances[rows, rank] * units, between * units, _noise_model(measured, scale, noise))
-
-
-def _noise_model(measured: Measured, scale: _Scale, noise: _Noise) -> NoiseModel:
-    process = noise.process * scale.way / scale.time**2.5
-    if measured.sd is None:
-        return NoiseModel(process, noise.measurement * scale.way)
-    return NoiseModel(process, float(np.sqrt(np.mean(np.square(measured.sd[measured.seen])))))
+    given = measured.sd
+    deviation = noise.measurement * scale.way if given is None else np.sqrt(np.mean(np.square(given[measured.seen])))
+    between = _between(covariances, with_next, rank) * units
+    return Smoothed(mean, covariances[rows, rank] * units, between, float(deviation))
 
 
 def _between(covariances: Float64, with_next: Float64, rank: Ints) -> Float64:
-    """Return the covariance of the states at each of the times and the next one.
+    """Return the covariance of the states at each of the times and the next one: the product of the gains in between.
 
-    Args:
-        covariances: (n, n_points, 3, 3) of all points.
-        with_next: (n, n_points, 3, 3) of each point with the next.
-        rank: (n, n_times) points that are asked for.
+    ``covariances`` and ``with_next`` are those of all points, ``rank`` (n, n_times) the points that are asked for.
     """
     n, n_times = rank.shape
-    rows = np.arange(n)
+    rows, gain = np.arange(n), np.zeros_like(covariances)
     found = np.zeros((n, n_times, 3, 3))
-    gain = np.zeros_like(covariances)
-    gain[:, :-1] = np.linalg.solve(covariances[:, 1:] + 1e-18 * _I, with_next[:, :-1].transpose(0, 1, 3, 2)).transpose(
-        0, 1, 3, 2
-    )
+    solved = np.linalg.solve(covariances[:, 1:] + 1e-18 * _I, with_next[:, :-1].transpose(0, 1, 3, 2))
+    gain[:, :-1] = solved.transpose(0, 1, 3, 2)
     for i in range(n_times - 1):
         product = np.broadcast_to(_I, (n, 3, 3))
         at = rank[:, i].copy()

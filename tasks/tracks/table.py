@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -222,69 +221,33 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
 
 
 def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
-    """Refuse a frame, or the rest of a throw, in which a bar is elsewhere."""
-    unit = metres(tracks) / length_scale_of(tracks)
-    kinds = (("jumps", slice(2), unit, f" {tracks.length_unit}"), ("turns", slice(2, 3), np.pi / 180, "°"))
-    for verb, axes, size, symbol in kinds:
-        for jump in _jumps(paths, axes):
-            raise TrackError(
-                f"throw {paths.throw[jump.throw]}, frame {jump.frame}: the bar {verb} by "
-                f"{jump.distance / size:.3g}{symbol} "
-                f"{'and back' if jump.returns else 'since the frame before, and goes on from there'}: remove frames "
-                f"that were tracked wrongly"
-            )
-
-
-@dataclass(frozen=True)
-class _Jump:
-    """A frame in which a bar is elsewhere than its path leads."""
-
-    throw: int
-    frame: int
-    distance: float
-    returns: bool  # in the next frame
-
-
-def _jumps(paths: Paths, axes: slice) -> Iterator[_Jump]:
-    """Yield the first frame in which some coordinates jump and return, and the first from which they stay away.
+    """Refuse a frame in which a bar is elsewhere than its path leads, and returns in the next.
 
     A frame that is off by d changes the velocity by d / h before it, by - d / h - d / h' at it and by d / h' after it,
-    where h and h' are the intervals before and after. Where the path goes on from there, the velocity changes by d / h
-    before it and by - d / h at it. A bar that bounces changes its velocity once. Only positions are tested for staying
-    away: a bar that hits the water may turn within a frame.
+    where h and h' are the intervals before and after. A bar that bounces changes its velocity once.
     """
     if paths.pose.shape[1] < MIN_FRAMES + 1:
         return
+    unit = metres(tracks) / length_scale_of(tracks)
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), 1.0)
-    velocity = np.diff(paths.pose[..., axes], axis=1) / interval[..., None]
-    change = np.diff(velocity, axis=1)  # at the frames 1 to n - 2
-    usual = float(np.median((np.linalg.norm(change, axis=-1) * interval[:, 1:])[paths.seen[:, 2:]]))
     before, after = 1 / interval[:, 1:-2], 1 / interval[:, 2:-1]  # of the frames 2 to n - 3
-    yield from _alike(paths, change, np.stack([before, -before - after, after], axis=-1), usual, returns=True)
-    if axes.start is None and paths.pose.shape[1] > MIN_FRAMES + 1:
-        before = 1 / interval[:, 2:-2]  # of the frames 3 to n - 3
-        pattern = np.stack([np.zeros_like(before), before, -before, np.zeros_like(before)], axis=-1)
-        yield from _alike(paths, change, pattern, usual, returns=False)
-
-
-def _alike(paths: Paths, change: Float64, pattern: Float64, usual: float, *, returns: bool) -> Iterator[_Jump]:
-    """Yield the first frame around which the velocity changes as a jump makes it.
-
-    Args:
-        paths: the throws.
-        change: (n_throws, n_frames - 2, n) changes of the velocity at the frames.
-        pattern: (n_throws, n_windows, n_changes) changes that a jump by 1 makes, at successive frames.
-        usual: change of a path between frames.
-        returns: whether the pattern is that of a bar which returns.
-    """
-    n = pattern.shape[-1]
-    around = np.lib.stride_tricks.sliding_window_view(change, n, axis=1)  # (n_throws, n_windows, n axes, n)
-    template = pattern[:, :, None]
-    off = (around * template).sum(axis=-1, keepdims=True) / np.square(template).sum(axis=-1, keepdims=True)
-    unlike = np.square(around - off * template).sum(axis=(2, 3))
-    distance = np.linalg.norm(off[..., 0], axis=-1)
-    seen = paths.seen[:, n + 1 :]
-    far = (distance > max(_AWAY * usual, _LEAST_AWAY)) & (unlike < _UNLIKE * np.square(around).sum(axis=(2, 3))) & seen
-    if far.any():
-        k, window = np.argwhere(far)[0]
-        yield _Jump(int(k), int(window) + (2 if returns else 3), float(distance[k, window]), returns)
+    template = np.stack([before, -before - after, after], axis=-1)[:, :, None]
+    for verb, axes, size, symbol in (
+        ("jumps", slice(2), unit, f" {tracks.length_unit}"),
+        ("turns", slice(2, 3), np.pi / 180, "°"),
+    ):
+        velocity = np.diff(paths.pose[..., axes], axis=1) / interval[..., None]
+        change = np.diff(velocity, axis=1)  # at the frames 1 to n - 2
+        usual = float(np.median((np.linalg.norm(change, axis=-1) * interval[:, 1:])[paths.seen[:, 2:]]))
+        around = np.lib.stride_tricks.sliding_window_view(change, 3, axis=1)  # (n_throws, n_windows, n axes, 3)
+        off = (around * template).sum(axis=-1, keepdims=True) / np.square(template).sum(axis=-1, keepdims=True)
+        unlike = np.square(around - off * template).sum(axis=(2, 3))
+        distance = np.linalg.norm(off[..., 0], axis=-1)
+        alike = unlike < _UNLIKE * np.square(around).sum(axis=(2, 3))
+        far = (distance > max(_AWAY * usual, _LEAST_AWAY)) & alike & paths.seen[:, 4:]
+        if far.any():
+            k, window = np.argwhere(far)[0]
+            raise TrackError(
+                f"throw {paths.throw[k]}, frame {window + 2}: the bar {verb} by "
+                f"{distance[k, window] / size:.3g}{symbol} and back: remove frames that were tracked wrongly"
+            )

@@ -52,15 +52,9 @@ def n_contacts(at: Bools) -> int:
 
 
 def contacts(paths: Paths, long_axes: Float64, position_sd: tuple[float, float]) -> Contacts:
-    """Find where bars bounce off a wall or the floor, stop at a wall, or rest on the floor.
+    """Find the frames where bars bounce off a wall or the floor, stop at a wall, or rest on the floor.
 
-    Args:
-        paths: the throws.
-        long_axes: (n_throws,) of their bars [m].
-        position_sd: deviations of measurements of x and y [m].
-
-    Returns:
-        The frames of contacts.
+    ``long_axes`` are those of the (n_throws,) bars, ``position_sd`` the deviations of measurements of x and y; all [m].
     """
     x_sd, y_sd = position_sd
     left, right = _bounces(paths, 0, x_sd)
@@ -79,12 +73,7 @@ def _reach(paths: Paths, long_axes: Float64) -> tuple[Float64, Float64]:
 
 
 def slowest_contact(frame_interval: float, position_sd: tuple[float, float]) -> float:
-    """Return the speed below which a bar may touch a wall or the floor unnoticed [m/s].
-
-    Args:
-        frame_interval: typical interval between frames [s].
-        position_sd: deviations of measurements of x and y [m].
-    """
+    """Return the speed below which a bar may touch a wall or the floor unnoticed [m/s]."""
     return max(_SLOWEST_CONTACT, _SD_OF_CONTACT * float(np.sqrt(2)) * max(position_sd) / frame_interval)
 
 
@@ -110,16 +99,10 @@ def _bounces(paths: Paths, axis: int, sd: float) -> tuple[Bools, Bools]:
 
 
 def _stops(paths: Paths, outward: Float64, reach: Float64, sd: float) -> Bools:
-    """Return the frames at which bars stop where no bar gets farther out.
+    """Return the frames at which bars stop where no bar gets farther out, given their positions outward [m].
 
     Drag, too, may stop a fast bar within a few frames. At a wall several bars stop at one place, and of those that are
     as fast elsewhere hardly any does.
-
-    Args:
-        paths: the throws.
-        outward: (n_throws, n_frames) positions of the bars [m], growing towards the wall.
-        reach: (n_throws, n_frames) of the bars from their centres [m].
-        sd: deviation of a measurement [m].
     """
     edge = outward + reach
     velocity, least = _velocity(paths, outward, sd)
@@ -135,13 +118,7 @@ def _stops(paths: Paths, outward: Float64, reach: Float64, sd: float) -> Bools:
 
 
 def _rests(paths: Paths, reach: Float64, sd: float) -> Bools:
-    """Return the frames in which bars below the surface lie still where no bar gets deeper: on the floor.
-
-    Args:
-        paths: the throws.
-        reach: (n_throws, n_frames) of the bars from their centres along y [m].
-        sd: deviation of a measurement [m].
-    """
+    """Return the frames in which bars below the surface lie still where no bar gets deeper: on the floor."""
     n = max(round(_REST_TIME / float(np.median(np.diff(paths.time, axis=1)[paths.seen[:, 1:]]))), 2)  # intervals
     at = np.zeros(paths.time.shape, dtype=bool)
     if paths.time.shape[1] <= n:

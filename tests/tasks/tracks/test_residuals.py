@@ -72,15 +72,6 @@ def test_steps_in_a_gap_are_left_out() -> None:
     assert np.diff(steps).max() == report.n_rows_in_gaps + 1
 
 
-def test_throws_of_two_cameras_have_no_gaps() -> None:
-    """A throw at 60 frames a second beside others at 240."""
-    table, bars = filmed(4, rate=240.0, seconds=0.6)
-    seen = (table.throw != 1) | (np.arange(len(table.throw)) % 4 == 0)
-    both = type(table)(*(getattr(table, name)[seen] for name in ("throw", "time", "x", "y", "angle")))
-    found, report = residual_transitions(both, bars, PLAIN, PHYSICS)
-    assert report.n_gaps == 0 and np.unique(found.throw).tolist() == [0, 1, 2, 3]
-
-
 def test_rows_at_contacts_are_left_out_and_counted() -> None:
     """Bars that fly level at 2 m/s through air, and one of them against a wall at x = 0.5 m."""
     time = np.linspace(0, 1, 17)

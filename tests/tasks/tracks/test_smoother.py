@@ -37,7 +37,7 @@ def test_noise_is_estimated_from_the_data(noise: float) -> None:
     true = rng.normal(size=(20, 1)) * time + rng.normal(size=(20, 1)) * time**2
     found = smooth(measured(time, true + noise * rng.normal(size=true.shape)), many_times(10, 2.0, 20))
     # 1,200 measurements fix a deviation within 1 / √2400 = 2 %, fewer by what the motion takes up: three deviations.
-    assert found.noise.measurement == pytest.approx(noise, rel=0.1)
+    assert found.noise == pytest.approx(noise, rel=0.1)
 
 
 def test_deviations_cover_the_errors() -> None:
