@@ -55,7 +55,6 @@ TOGETHER = {
         "commands/test_score.py",
         "commands/test_status.py",
         "commands/test_verify.py",
-        "fabrication/test_source.py",
         "results/test_export_folder.py",
         "results/test_notebook.py",
         "results/test_recorded_study.py",
@@ -214,9 +213,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 600))
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_unconfigure(config: pytest.Config) -> None:
     """Name, in the last line, what was skipped for want of a program or a privilege."""
-    reasons = Counter(str(report.longrepr[2]) for report in terminalreporter.stats.get("skipped", []))
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is None:
+        return
+    reasons = Counter(str(report.longrepr[2]) for report in terminal.stats.get("skipped", []))
     lacking = {reason.removeprefix("Skipped: "): n for reason, n in reasons.items() if "--torture" not in reason}
     if lacking:
-        terminalreporter.line("skipped: " + "; ".join(f"{n} ({reason})" for reason, n in lacking.items()))
+        terminal.line("skipped: " + "; ".join(f"{n} ({reason})" for reason, n in lacking.items()))

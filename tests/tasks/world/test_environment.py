@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from tasks.world import DryLand, Environment, LinkStates, Physics, ResidualSlush, TrueSlush, VelocityChange
@@ -26,12 +25,6 @@ def residual_slush(depth: float) -> ResidualSlush:
 
 
 ENVIRONMENTS = [DryLand, TrueSlush, residual_slush]
-
-
-@pytest.mark.parametrize("environment", ENVIRONMENTS)
-@pytest.mark.parametrize("depth", [0, 0.5, 9, np.float64(2.5)])
-def test_depths_are_metres(environment: Callable[[float], Environment], depth: float) -> None:
-    assert environment(depth).depth == depth
 
 
 @pytest.mark.parametrize("environment", ENVIRONMENTS)

@@ -19,12 +19,6 @@ class FlatEnsemble(Slush):
         return 1
 
 
-def test_environments_are_listed_in_the_papers_order() -> None:
-    papers = ["true_slush", "dry_land", "residual_slush", "single_member"]
-    ours = ["designed_throws", "designed_single_member", "randomised_slush", "anisotropic_slush", "flowing_slush"]
-    assert list(ENVIRONMENTS) == [*papers, *ours]
-
-
 def test_settings_accept_registered_names_only() -> None:
     names = TypeAdapter(EnvironmentName)
     assert [names.validate_python(name) for name in ENVIRONMENTS] == list(ENVIRONMENTS)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, evaluate, penalised_mean
+from tasks.evolution import OBJECTIVES, evaluate, penalised_mean
 from tasks.evolution.objectives import Objective, register_objective
 from tasks.simulation import DIVERGED, OK, Rollouts
 
@@ -77,16 +77,6 @@ def test_speed_in_the_second_half_is_an_objective() -> None:
     # 0.1 and 0.3: μ = 0.2, σ = 0.1.
     evaluation = evaluate(ENSEMBLE, disagreement_penalty=1.0, objective="second_half_speed")
     np.testing.assert_allclose(evaluation.fitness, [0.1, 0.3, -np.inf], rtol=1e-15)
-
-
-def test_the_papers_objective_is_displacement() -> None:
-    assert PAPERS_OBJECTIVE == "displacement"
-    assert {one.name: (one.label, one.unit) for one in OBJECTIVES.values()} == {
-        "displacement": ("Displacement", "m"),
-        "displacement_per_energy": ("Displacement per mechanical energy", "m/kJ"),
-        "mean_over_depths": ("Mean displacement", "m"),
-        "second_half_speed": ("Speed in the second half", "m/s"),
-    }
 
 
 def test_displacement_per_energy_and_the_least_work_that_counts() -> None:

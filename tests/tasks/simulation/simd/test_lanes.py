@@ -18,7 +18,6 @@ from tasks.simulation.simd.lanes import (
     floor,
     fma,
     from_row,
-    lane,
     part,
     select,
     sqrt,
@@ -26,7 +25,6 @@ from tasks.simulation.simd.lanes import (
     to_single,
     truncate,
     widest,
-    with_lane,
 )
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="these are the compiled lanes")
@@ -118,26 +116,6 @@ def test_fma_rounds_once(numbers):
         exact = float(Fraction(a) * Fraction(b) + Fraction(c))
         assert out.rows[0, i] == np.float32((exact - (a * b + c)) * 2.0**60)
         assert fma(np.array([a]), b, c)[0] == exact
-
-
-@numba.njit
-def one_by_one(block):
-    x = block[0]
-    for i in range(count_lanes(x)):
-        x = with_lane(x, i, lane(x, i) + i)
-    block[1] = x
-    tail = from_row(block, 2)
-    tail[0] = 7.0
-    return any_lane(block[0] > 2.5), any_lane(block[0] > 3.5)
-
-
-@pytest.mark.parametrize("width", WIDTHS)
-def test_single_lanes_and_views(width):
-    block = Block(3, width)
-    block.rows[0] = 3.0
-    assert one_by_one(block) == (True, False)
-    assert (block.rows[1] == 3 + np.arange(width)).all()
-    assert (block.rows[2] == 7).all()
 
 
 @numba.njit
