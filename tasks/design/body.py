@@ -29,7 +29,7 @@ class KinematicTrees:
     parent_anchor: Float32  # position of the joint along the parent's y axis, from its centre [m]; 0 for the root
     child_anchor: Float32  # position of the joint along the link's own y axis, from its centre [m]; 0 for the root
     x: Float32  # centre at the spawn [m]; the root's is 0
-    y: Float32  # centre at the spawn [m]; the lowest corner of the robot is at 0, or the root's centre
+    y: Float32  # centre at the spawn [m]; the lowest corner of the robot is at 0
     angle: Float32  # angle at the spawn [rad]; the root is upright, at 0
 
 
@@ -75,14 +75,8 @@ def rest_pose(designs: Designs) -> tuple[Float64, Float64, Float64]:
     return rest[:, _X], rest[:, _Y], rest[:, _ANGLE]
 
 
-def spawn_links(table: DesignTable, density: float, root_at_surface: bool) -> Float32:
-    """Return (9, n_designs, n_links) fields of KinematicTrees after ``parent``, in their order.
-
-    Args:
-        table: (n_designs, N_COLUMNS) designs.
-        density: density of every link [kg/m²].
-        root_at_surface: whether the root's centre begins at y = 0, and not the lowest corner.
-    """
+def spawn_links(table: DesignTable, density: float) -> Float32:
+    """Return (9, n_designs, n_links) fields of KinematicTrees after ``parent``, in their order; density in [kg/m²]."""
     rest, single = _hang_links(table), np.empty((9, len(table), N_LINKS), np.float32)
     for design in range(len(table)):
         lowest = np.inf
@@ -91,7 +85,6 @@ def spawn_links(table: DesignTable, density: float, root_at_surface: bool) -> Fl
             of_length = abs(rest[design, _COSINE, link]) * along / 2
             of_width = abs(rest[design, _SINE, link]) * width / 2
             lowest = min(lowest, rest[design, _Y, link] - of_length - of_width)
-        raised = 0.0 if root_at_surface else lowest
         for link in range(N_LINKS):
             along, width = table[design, _LENGTH + link], 1.0 / table[design, _LENGTH + link]
             mass = density * width * along
@@ -101,7 +94,7 @@ def spawn_links(table: DesignTable, density: float, root_at_surface: bool) -> Fl
             single[4, design, link] = rest[design, _PARENT_ANCHOR, link]
             single[5, design, link] = rest[design, _CHILD_ANCHOR, link]
             single[6, design, link] = rest[design, _X, link]
-            single[7, design, link] = rest[design, _Y, link] - raised
+            single[7, design, link] = rest[design, _Y, link] - lowest
             single[8, design, link] = rest[design, _ANGLE, link]
     return single
 
@@ -109,18 +102,9 @@ def spawn_links(table: DesignTable, density: float, root_at_surface: bool) -> Fl
 spawn_kernel = compiled(spawn_links, seconds=1)
 
 
-Spawn = Literal["lowest_corner", "root_centre"]  # point of a robot that begins at the surface
-
-
-def kinematic_trees(designs: Designs, *, density: float, spawn: Spawn = "lowest_corner") -> KinematicTrees:
-    """Return the bodies of valid designs as they are spawned, the root at x = 0.
-
-    Args:
-        designs: n_designs designs.
-        density: density of every link [kg/m²].
-        spawn: point of the robot that is at y = 0.
-    """
-    return KinematicTrees(designs.parent, *spawn_kernel(designs.table, density, spawn == "root_centre"))
+def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
+    """Return the bodies of valid designs as they are spawned, the root at x = 0; density in [kg/m²]."""
+    return KinematicTrees(designs.parent, *spawn_kernel(designs.table, density))
 
 
 PassiveJoints = Literal["swing", "locked"]  # behaviour of a joint whose motor is off

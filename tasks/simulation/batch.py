@@ -17,7 +17,6 @@ from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees.groups import Groups
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
 from tasks.world import Environment, Medium, Physics, Slush
-from tasks.world.slush import INTEGRATIONS
 
 
 def seconds_to_compile(physics: Physics) -> float:
@@ -56,8 +55,6 @@ def scene_of(environment: Environment, physics: Physics) -> Scene:
         angular_drag=single(slush.density * slush.angular_drag * physics.time_step),
         lift=single(slush.density * physics.gravity * physics.time_step),
         by_component=slush.drag == "by_component",
-        integration=INTEGRATIONS.index(slush.drag_integration),
-        joint_limits=() if physics.joint_limits == "none" else (True,),
     )
 
 
@@ -84,18 +81,8 @@ def roll_out(
     """Return the motion of designs in an environment.
 
     The kernels compute slush themselves, and networks that a medium offers as its attribute ``networks``; they take all
-    steps in one call. Any other medium is called in each step, for all links of all robots together.
-
-    Args:
-        designs: n_designs designs.
-        environment: depth and medium.
-        physics: constants of the simulator.
-        n_settle: steps before the displacement is measured.
-        n_measure: steps over which it is measured.
-        trace: whether to record the states after each step.
-        motor_work: whether to add up the work of the motors over the measured steps.
-        n_lanes: lanes of a group; results do not depend on them. The default suits the machine: half as many would take
-            0.7 of the time for few robots, but another 20 s to compile.
+    steps in one call. Any other medium is called in each step, for all links of all robots together. The arguments are
+    those of :func:`tasks.simulation.rollout.simulate`, and the lanes of a group, on which results do not depend.
     """
     medium = environment.medium
     n_members = environment.n_members
@@ -105,10 +92,6 @@ def roll_out(
         robots = Robots(designs, environment.depth, physics, n_members=n_members)
     else:
         robots = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes or widest())
-    motors = robots.max_motor_impulse
-    switched_on = motors.copy()
-    if not physics.motors_while_settling:
-        motors[:] = 0.0
     scene = scene_of(environment, physics)
     n_steps = n_settle + n_measure
     shape = (n_members, len(designs))
@@ -129,7 +112,6 @@ def roll_out(
             robots.advance(scene, first, last - first, None if states is None else states[:, first:last])
         if last == n_settle:
             settled = robots.poses()
-            motors[:] = switched_on
         if last == n_half:
             halfway = robots.poses()
     return Motion(

@@ -17,9 +17,6 @@ VELOCITY_THRESHOLD = np.float32(1.0)  # b2_velocityThreshold [m/s]: nothing slow
 MAX_CONDITION_NUMBER = np.float32(1000.0)  # k_maxConditionNumber: of two contact points that are solved as a block
 BAUMGARTE = np.float32(0.2)  # b2_baumgarte: share of a position error that one sweep removes
 MAX_LINEAR_CORRECTION = np.float32(0.2)  # b2_maxLinearCorrection [m]: most that one sweep removes
-ANGULAR_SLOP = np.float32(2.0) / np.float32(180.0) * np.float32(3.14159265359)  # b2_angularSlop [rad]: of a joint limit
-MAX_ANGULAR_CORRECTION = np.float32(8.0) / np.float32(180.0) * np.float32(3.14159265359)
-"""b2_maxAngularCorrection [rad]: most that one sweep turns a joint back to its limit."""
 MAX_TRANSLATION = np.float32(2.0)  # b2_maxTranslation [m]: farthest that a body moves in a step
 MAX_ROTATION = np.float32(0.5) * np.float32(3.14159265359)  # b2_maxRotation [rad]: farthest that a body turns in a step
 MAX_ROTATION_SQUARED = MAX_ROTATION * MAX_ROTATION

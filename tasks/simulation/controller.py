@@ -74,7 +74,3 @@ class Controllers:
         time = np.float32(step) * np.float32(time_step)
         turns = self.frequency * time + self.phase_turns
         return self.rest_angle + self.amplitude * sine_of_turns(turns)
-
-    def limits(self) -> tuple[Float32, Float32]:
-        """Return the least and the greatest target angle of each joint; (n_designs, n_links) [rad]."""
-        return self.rest_angle - self.amplitude, self.rest_angle + self.amplitude

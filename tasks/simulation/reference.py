@@ -65,7 +65,6 @@ class _Robot:
             categoryBits=GROUND_BIT,
         )
         first_link, parents = rigid.first_link[design], trees.parent[design]
-        lower_angle, upper_angle = controllers.limits()
         body_of: dict[int, Any] = {}
         for first in reversed(np.unique(first_link).tolist()):
             pose = (float(trees.x[design, first]), float(trees.y[design, first]), float(trees.angle[design, first]))
@@ -90,11 +89,8 @@ class _Robot:
                 localAnchorA=(float(rigid.joint_x[design, link]), float(rigid.joint_y[design, link])),
                 localAnchorB=(0.0, float(trees.child_anchor[design, link])),
                 referenceAngle=0.0,
-                enableMotor=bool(controllers.motor_on[design, link]) and physics.motors_while_settling,
+                enableMotor=bool(controllers.motor_on[design, link]),
                 maxMotorTorque=physics.max_motor_torque,
-                enableLimit=physics.joint_limits != "none",
-                lowerAngle=float(lower_angle[design, link]),
-                upperAngle=float(upper_angle[design, link]),
                 collideConnected=physics.link_collisions,  # the filters except links that a joint ties
             )
             for link in sorted(body_of)
@@ -146,17 +142,10 @@ def roll_out(
 ) -> Motion:
     """Return the motion of designs in an environment.
 
-    Args:
-        designs: n_designs designs.
-        environment: depth and medium.
-        physics: constants of the simulator.
-        n_settle: steps before the displacement is measured.
-        n_measure: steps over which it is measured.
-        trace: whether to record states and motor torques of each step.
-        motor_work: whether to add up the work of the motors over the measured steps.
+    The arguments are those of :func:`tasks.simulation.rollout.simulate`; ``trace`` also records the motor torques.
     """
     n_members, n_designs, n_steps = environment.n_members, len(designs), n_settle + n_measure
-    trees = kinematic_trees(designs, density=physics.link_density, spawn=physics.spawn)
+    trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     controllers = Controllers.of(designs, physics.range_of_motion)
     robots = [
@@ -172,8 +161,6 @@ def roll_out(
     work = np.zeros((n_members, n_designs, N_LINKS), np.float32) if motor_work else None
     settled = halfway = placed.state
     for step in range(n_steps):
-        if step == n_settle and not physics.motors_while_settling:
-            _switch_on_motors(robots, controllers)
         _command_motors(robots, controllers, trees, placed.state, step, physics)
         if environment.medium is not None:
             _push(links, environment.medium, designs, trees, placed, physics)
@@ -215,13 +202,6 @@ def _relative(quantity: Float32, trees: KinematicTrees) -> Float32:
     parent = np.broadcast_to(np.maximum(trees.parent, 0), quantity.shape)
     of_parent: Float32 = np.take_along_axis(quantity, parent, axis=2)
     return quantity - of_parent
-
-
-def _switch_on_motors(robots: list[_Robot], controllers: Controllers) -> None:
-    for number, robot in enumerate(robots):
-        on = controllers.motor_on[number % len(controllers.motor_on)]
-        for link, joint in robot.joints.items():
-            joint.motorEnabled = bool(on[link])
 
 
 def _command_motors(

@@ -43,13 +43,13 @@ class AnisotropicSlush(Parameters):
         k_along = (0.5 * self.density * self.drag_along * dt) * area / links.mass
         k_across = (0.5 * self.density * self.drag_across * dt) * area / links.mass
         k_r_dt = (self.density * self.angular_drag * dt) * second_moment / links.inertia
-        lost_along = after_drag(along, k_along * abs(along), "exact") - along
-        lost_across = after_drag(across, k_across * abs(across), "exact") - across
+        lost_along = after_drag(along, k_along * abs(along)) - along
+        lost_across = after_drag(across, k_across * abs(across)) - across
         lift = (self.density * physics.gravity * dt) * area / links.mass
         return VelocityChange(
             vx=links.cos * lost_across - links.sin * lost_along,
             vy=links.sin * lost_across + links.cos * lost_along + lift,
-            omega=after_drag(links.omega, k_r_dt * abs(links.omega), "exact") - links.omega,
+            omega=after_drag(links.omega, k_r_dt * abs(links.omega)) - links.omega,
         )
 
 

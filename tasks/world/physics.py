@@ -4,11 +4,11 @@
 """
 
 from math import sqrt
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from tasks.design.body import PassiveJoints, Spawn
+from tasks.design.body import PassiveJoints
 from tasks.parameters import Parameters, later_choice
 
 RangeOfMotion = Literal["amplitude", "peak_to_peak"]  # what a joint's range of motion is of its oscillation
@@ -46,24 +46,6 @@ class Physics(Parameters):
     range_of_motion: RangeOfMotion = later_choice("amplitude")
     """What a joint's range of motion is of its oscillation. The paper's ranges of 0.2 to π/2 fit both. Peak to peak,
     robots in slush hardly travel, far less than the paper's."""
-    joint_limits: Literal["none", "range_of_motion"] = later_choice("none")
-    """Whether joints, with or without a motor, stop at the ends of their range of motion about the rest angle. The
-    paper's wording allows both; without limits, the range is that of the motor's target alone."""
-    motors_while_settling: bool = later_choice(True)
-    """Whether motors run from the spawn on, as the paper's controllers do, which know no settling; otherwise the joints
-    swing freely until displacement is measured."""
-    spawn: Spawn = later_choice("lowest_corner")
-    """What begins at the surface: the lowest corner of the robot, so that it falls in and never begins in the ground,
-    or the centre of the root."""
-
-    @model_validator(mode="after")
-    def _limited_joints_turn(self) -> Self:
-        if self.joint_limits != "none" and self.passive_joints == "locked":
-            raise ValueError(
-                f"joint_limits is {self.joint_limits} and passive_joints is locked, but a locked joint does not turn: "
-                "expected joint_limits to be none, or passive_joints to be swing"
-            )
-        return self
 
 
 def froude_time(length: float) -> float:

@@ -71,7 +71,7 @@ class RandomisedSlushes(DragLaw):
         )
         drawn = (float(f"{value:.{_DIGITS}g}") for value in (density, linear_drag, angular_drag))
         parameters = dict(zip(("density", "linear_drag", "angular_drag"), drawn, strict=True))
-        return Slush(drag=self.drag, drag_integration=self.drag_integration, **parameters)
+        return Slush(drag=self.drag, **parameters)
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Compute the change over one step; member k pushes entry k of the links' first axis."""

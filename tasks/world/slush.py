@@ -2,7 +2,7 @@
 
 The submerged part of a link is exact: a rectangle cut by a horizontal line. All forces act at the centre of mass; there
 is no buoyant torque, so nothing depends on the sign of a link's angle. The paper leaves open whether drag acts on the
-velocity or on its components, and how it is integrated over a step: see :class:`DragLaw`.
+velocity or on its components: see :class:`DragLaw`.
 
 The functions compute in the precision of their arguments: float64 for the comparison with a polygon clipper, float32 in
 the reference engine. The batch engine repeats the same operations in the same order on lanes
@@ -10,7 +10,7 @@ the reference engine. The batch engine repeats the same operations in the same o
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -68,34 +68,21 @@ def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) ->
     return area, second_moment
 
 
-Integration = Literal["exact", "euler", "clamped_euler"]  # how drag is integrated over a step
-INTEGRATIONS: tuple[Integration, ...] = get_args(Integration)
-
-
 class DragLaw(Parameters):
     """How drag acts, whatever its coefficients."""
 
     drag: Literal["vector", "by_component"] = later_choice("vector")
     """Drag opposes the velocity, quadratic in the speed, or each component by itself, quadratic in that component. The
     paper's k |v| v reads as the first, which does not depend on the choice of the axes."""
-    drag_integration: Integration = later_choice("exact")
-    """Integration of drag over a step: exact, by explicit Euler, or by explicit Euler that never reverses a velocity.
-    Exact, because Euler overshoots above 10 m/s and diverges above 19 m/s, and throws begin at up to 28 m/s."""
 
 
-def after_drag(velocity: Floats, lost: Floats, integration: Integration) -> Floats:
-    """Return a velocity after a step of quadratic drag; the batch engine has the same operations.
+def after_drag(velocity: Floats, lost: Floats) -> Floats:
+    """Return a velocity after a step of quadratic drag, which loses the share ``lost``, k |v| dt, at its first rate.
 
-    Args:
-        velocity: (...) [m/s] or [rad/s].
-        lost: (...) k |v| dt, the share that is lost at the velocity's rate at the start of the step.
-        integration: "exact" is v / (1 + k |v| dt), the solution of dv/dt = -k |v| v; "euler" is v (1 - k |v| dt).
+    This is the exact solution of dv/dt = -k |v| v. Explicit Euler would overshoot above 10 m/s and diverge above 19
+    m/s, and throws begin at up to 28 m/s. The batch engine has the same operations.
     """
-    if integration == "exact":
-        return velocity / (1 + lost)
-    if integration == "clamped_euler":
-        lost = np.minimum(lost, 1)
-    return velocity - lost * velocity
+    return velocity / (1 + lost)
 
 
 class Slush(DragLaw):
@@ -123,9 +110,9 @@ class Slush(DragLaw):
             speed_x = speed_y = np.sqrt(links.vx * links.vx + links.vy * links.vy)
         lift = (self.density * physics.gravity * dt) * area / links.mass
         return VelocityChange(
-            vx=after_drag(links.vx, k_dt * speed_x, self.drag_integration) - links.vx,
-            vy=(after_drag(links.vy, k_dt * speed_y, self.drag_integration) + lift) - links.vy,
-            omega=after_drag(links.omega, k_r_dt * abs(links.omega), self.drag_integration) - links.omega,
+            vx=after_drag(links.vx, k_dt * speed_x) - links.vx,
+            vy=(after_drag(links.vy, k_dt * speed_y) + lift) - links.vy,
+            omega=after_drag(links.omega, k_r_dt * abs(links.omega)) - links.omega,
         )
 
 

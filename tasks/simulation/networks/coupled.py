@@ -140,11 +140,7 @@ def _add(copies: LinkCopies, to_vx: int, to_vy: int, to_omega: int) -> None:
 def push(coupling: Coupling, to_vx: int, to_vy: int, to_omega: int) -> None:
     """Evaluate the networks of all robots and add their changes to three quantities.
 
-    Args:
-        coupling: coupling of these robots.
-        to_vx: first row of the quantity that the change of vx is added to.
-        to_vy: the same for vy.
-        to_omega: the same for omega.
+    ``to_vx``, ``to_vy`` and ``to_omega`` are the first rows of what the changes are added to.
     """
     x, out = coupling.x, coupling.out
     _read(coupling.whole, coupling.observed)

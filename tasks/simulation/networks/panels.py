@@ -19,13 +19,8 @@ def padded(n: int) -> int:
 def to_panels(weight: Float32, n_in: int, n_out: int) -> Float32:
     """Cut weights into panels.
 
-    Args:
-        weight: (n_networks, at most n_in, at most n_out) weights of a layer.
-        n_in: inputs, padding included.
-        n_out: outputs, a multiple of half a panel.
-
-    Returns:
-        (n_networks, n_in · n_out) panels.
+    The (n_networks, at most n_in, at most n_out) weights become (n_networks, n_in · n_out) panels; n_in and n_out
+    include the padding, n_out to a multiple of half a panel.
     """
     n_networks = len(weight)
     filled = np.zeros((n_networks, n_in, n_out), np.float32)
@@ -35,16 +30,7 @@ def to_panels(weight: Float32, n_in: int, n_out: int) -> Float32:
 
 
 def from_panels(panels: Float32, n_in: int, n_out: int) -> Float32:
-    """Join panels: the inverse of :func:`to_panels`.
-
-    Args:
-        panels: (n_networks, n_in · n_out) panels.
-        n_in: inputs, padding included.
-        n_out: outputs, a multiple of half a panel.
-
-    Returns:
-        (n_networks, n_in, n_out) weights, padding included.
-    """
+    """Join panels: the inverse of :func:`to_panels`."""
     n_networks = len(panels)
     cut = [panels[:, unit * n_in : (unit + TILE_UNITS) * n_in] for unit in range(0, n_out, TILE_UNITS)]
     return np.concatenate([panel.reshape(n_networks, n_in, -1) for panel in cut], axis=2)

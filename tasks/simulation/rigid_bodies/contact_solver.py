@@ -41,13 +41,7 @@ def _relative_velocity(
 
 @inline
 def initialize_velocity_constraint(robot: RobotRecord, contact: ContactRecord, restitution: float32) -> None:
-    """b2ContactSolver::InitializeVelocityConstraints and b2WorldManifold::Initialize (b2Collision.cpp).
-
-    Args:
-        robot: with the contact's bodies.
-        contact: one of its contacts that touch.
-        restitution: speed after a bounce over the speed before.
-    """
+    """b2ContactSolver::InitializeVelocityConstraints and b2WorldManifold::Initialize (b2Collision.cpp)."""
     body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
     flipped = contact.flipped != 0
     reference, incident = (body_b, body_a) if flipped else (body_a, body_b)
@@ -100,13 +94,7 @@ def _initialize_block(contact: ContactRecord, body_a: BodyRecord, body_b: BodyRe
 
 @inline
 def warm_start(robot: RobotRecord, contact: ContactRecord, dt_ratio: float32) -> None:
-    """b2ContactSolver::WarmStart. A redundant point keeps its impulses for the next step.
-
-    Args:
-        robot: with the contact's bodies.
-        contact: one of its contacts that touch.
-        dt_ratio: this step's duration over the last one's.
-    """
+    """b2ContactSolver::WarmStart. A redundant point keeps its impulses for the next step."""
     body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     normal_x, normal_y = contact.normal_x, contact.normal_y
@@ -128,11 +116,6 @@ def solve_velocity_constraint(robot: RobotRecord, contact: ContactRecord, fricti
     """b2ContactSolver::SolveVelocityConstraints: friction at each point, then the normal impulses, of two as a block.
 
     The impulses stay in the contact for the next step, so StoreImpulses has nothing to do.
-
-    Args:
-        robot: with the contact's bodies.
-        contact: one of its contacts that touch.
-        friction: the coefficient μ.
     """
     body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
     if contact.body_a == GROUND:

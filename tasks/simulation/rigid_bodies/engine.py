@@ -47,7 +47,7 @@ class Robots:
         self._shape = (n_members, len(designs), N_LINKS)
         self._physics = physics
         self._rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
-        trees = kinematic_trees(designs, density=physics.link_density, spawn=physics.spawn)
+        trees = kinematic_trees(designs, density=physics.link_density)
         self.records = np.tile(pack(designs, trees, self._rigid, depth, physics), n_members)
         self.n_robots = len(self.records)
 
@@ -66,20 +66,11 @@ class Robots:
         work[robot, joints["child"]] = joints["motor_work"]
         return work
 
-    @property
-    def max_motor_impulse(self) -> Float32:
-        """(n_robots, n_joints) most that each motor gives in a step [N·m·s], to be changed in place."""
-        limit: Float32 = self.records["joints"]["max_motor_impulse"]
-        return limit
-
     def advance(self, scene: Scene, first_step: int, n_steps: int, trace: Float32 | None) -> None:
         """Take steps with all robots.
 
-        Args:
-            scene: what all robots share.
-            first_step: number of the first step since the spawn; 0 spawns the robots first.
-            n_steps: number of steps, 0 or more.
-            trace: (n_robots, at least n_steps, n_links, 6) for the states after each step, or None.
+        Step 0 spawns the robots first. The states after each step fill ``trace``, (n_robots, at least n_steps, n_links,
+        6).
         """
         each = max(1, self.n_robots) if trace is None else step.TEAM
         for first in range(0, self.n_robots, each):
@@ -91,14 +82,7 @@ class Robots:
                 trace[first : first + each] = states
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
-        """Take steps without a trace in a medium that is a network for each member, all in one kernel.
-
-        Args:
-            networks: of all members.
-            scene: what all robots share.
-            first_step: number of the first step since the spawn.
-            n_steps: number of steps.
-        """
+        """Take steps without a trace in a medium that is a network for each member, all in one kernel."""
         rows = self.records.view(np.float32).reshape(self.n_robots, -1, 1)
         coupling = coupled.couple(networks, rows, self.n_robots, _ROWS, _LINKS.itemsize // 4)
         no_trace = np.empty((0, 0, N_LINKS, 6), np.float32)

@@ -104,7 +104,7 @@ def sweep_velocities(team: Sequence[RobotRecord], scene: Scene) -> None:
                 robot = team[r]
                 if i < robot.n_island_joints:
                     joint = robot.joints[robot.island_joints[i]]
-                    revolute_joint.solve_velocity_constraints(robot, joint, scene)
+                    revolute_joint.solve_velocity_constraints(robot, joint)
         for i in range(n_contacts):
             for r in range(len(team)):
                 robot = team[r]
@@ -150,7 +150,7 @@ def sweep_positions(team: Sequence[RobotRecord], scene: Scene) -> None:
                 robot = team[r]
                 if unsolved & (1 << r) and i < robot.n_island_joints:
                     joint = robot.joints[robot.island_joints[i]]
-                    if not revolute_joint.solve_position_constraints(robot, joint, scene):
+                    if not revolute_joint.solve_position_constraints(robot, joint):
                         failed |= 1 << r
         unsolved = failed
         if unsolved == 0:

@@ -91,13 +91,11 @@ class JointRecord:
     """b2RevoluteJoint between the links parent and child, and its controller (tasks/simulation/controller.py).
 
     ra and rb are the joint seen from the bodies' centres of mass; max_motor_impulse is 0 where there is no motor, and
-    motor_work is the motor's work since it began to be counted. limit_state is -1 at the lower limit, 1 at the upper
-    one, and 0 between them.
+    motor_work is the motor's work since it began to be counted.
     """
 
     body_a, body_b, parent, child = [0] * 4
     phase_turns, amplitude, rest_angle, motor_speed, max_motor_impulse = [_FLOAT] * 5
-    lower_angle, upper_angle, limit_impulse, limit_state = [_FLOAT] * 4
     local_ra_x, local_ra_y, local_rb_x, local_rb_y, ra_x, ra_y, rb_x, rb_y = [_FLOAT] * 8
     impulse_x, impulse_y, motor_impulse, motor_work = [_FLOAT] * 4
     k_xx, k_xy, k_yy, k_inverse_det, motor_mass = [_FLOAT] * 5

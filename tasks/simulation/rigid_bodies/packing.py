@@ -98,11 +98,6 @@ def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tup
 
     Proxies are numbered as the fixtures are created: the ground's, then those of each body's links, from the body with
     the last first link to the root's. A is the fixture with the lower proxy.
-
-    Args:
-        designs: n_designs designs.
-        rigid: of these designs.
-        physics: whether links collide.
     """
     n_designs = len(designs)
     created = np.argsort((N_LINKS - rigid.first_link) * N_LINKS + np.arange(N_LINKS), axis=1)
@@ -120,15 +115,7 @@ def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tup
 
 
 def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: float, physics: Physics) -> Records:
-    """Return (n_designs,) records of robots, with bodies, fixtures and joints as Box2D creates them.
-
-    Args:
-        designs: n_designs designs.
-        trees: of these designs.
-        rigid: of these designs.
-        depth: of the ground [m].
-        physics: the base simulator's constants.
-    """
+    """Return (n_designs,) records of robots, with bodies, fixtures and joints as Box2D creates them."""
     robots = np.zeros(len(designs), ROBOT)
     index = body_index(rigid)
     spin, turn = sines_and_cosines(rigid.angle.ravel())
@@ -197,7 +184,6 @@ def _pack_joints(
     index, parent = body_index(rigid), designs.parent[design, link]
     center_a, center_b = center[design, rigid.first_link[design, parent]], center[design, link]
     controllers = Controllers.of(designs, physics.range_of_motion)
-    lower_angle, upper_angle = controllers.limits()
     max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
     for name, quantity in (
         ("body_a", index[design, parent]),
@@ -212,8 +198,6 @@ def _pack_joints(
         ("phase_turns", controllers.phase_turns[design, link]),
         ("amplitude", controllers.amplitude[design, link]),
         ("rest_angle", controllers.rest_angle[design, link]),
-        ("lower_angle", lower_angle[design, link]),
-        ("upper_angle", upper_angle[design, link]),
     ):
         robots["joints"][name][design, index[design, link] - 1] = quantity
     robots["n_joints"] = rigid.is_first.sum(axis=1) - 1

@@ -1,4 +1,4 @@
-"""Revolute joints with motors and limits: Box2D 2.3's b2RevoluteJoint, operation by operation.
+"""Revolute joints with motors: Box2D 2.3's b2RevoluteJoint, operation by operation.
 
 Point constraint, with r the joint seen from each centre of mass c and cross(w, r) = w (-r_y, r_x):
 
@@ -17,17 +17,15 @@ Motor constraint:
     K    = iA + iB
 
 m and i are inverse masses and inertias. An impulse P = -K⁻¹ Cdot, or -K⁻¹ C for positions, changes the velocities, or
-the positions, by M⁻¹ Jᵀ P. The limits are those of tasks/simulation/joint_limit.py.
+the positions, by M⁻¹ Jᵀ P.
 """
 
 from numpy import float32
 
 from tasks.compiled import inline
-from tasks.simulation.box2d import ANGULAR_SLOP, LINEAR_SLOP_SQUARED
-from tasks.simulation.joint_limit import limit_correction, limit_state, solve_with_limit
+from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
 from tasks.simulation.rigid_bodies.layout import JointRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, rotate
-from tasks.simulation.simd.rotation import scalar_sincos
 from tasks.simulation.trees.joint import clamp
 from tasks.simulation.trees.step import Scene
 
@@ -36,13 +34,7 @@ _ZERO, _ONE = float32(0), float32(1)
 
 @inline
 def init_velocity_constraints(robot: RobotRecord, joint: JointRecord, scene: Scene) -> None:
-    """b2RevoluteJoint::InitVelocityConstraints: levers, K, and the warm start with the last step's impulses.
-
-    Args:
-        robot: with the joint's bodies.
-        joint: one of its joints.
-        scene: what all robots share.
-    """
+    """b2RevoluteJoint::InitVelocityConstraints: levers, K, and the warm start with the last step's impulses."""
     body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     rA_x, rA_y = rotate(body_a, (joint.local_ra_x, joint.local_ra_y))
@@ -61,24 +53,13 @@ def init_velocity_constraints(robot: RobotRecord, joint: JointRecord, scene: Sce
     P_x, P_y, motor_impulse = joint.impulse_x * dt_ratio, joint.impulse_y * dt_ratio, joint.motor_impulse * dt_ratio
     joint.impulse_x, joint.impulse_y, joint.motor_impulse = P_x, P_y, motor_impulse
     turn_a, turn_b = (rA_x * P_y - rA_y * P_x) + motor_impulse, (rB_x * P_y - rB_y * P_x) + motor_impulse
-    if len(scene.joint_limits) > 0:
-        state = limit_state(body_b.a - body_a.a, joint.lower_angle, joint.upper_angle)
-        joint.limit_impulse = joint.limit_impulse * dt_ratio if state == joint.limit_state else _ZERO
-        joint.limit_state = state
-        turn_a, turn_b = turn_a + joint.limit_impulse, turn_b + joint.limit_impulse
     body_a.v_x, body_a.v_y, body_a.w = body_a.v_x - mA * P_x, body_a.v_y - mA * P_y, body_a.w - iA * turn_a
     body_b.v_x, body_b.v_y, body_b.w = body_b.v_x + mB * P_x, body_b.v_y + mB * P_y, body_b.w + iB * turn_b
 
 
 @inline
-def solve_velocity_constraints(robot: RobotRecord, joint: JointRecord, scene: Scene) -> None:
-    """b2RevoluteJoint::SolveVelocityConstraints: the motor, then the point, with the limit if the joint is at one.
-
-    Args:
-        robot: with the joint's bodies.
-        joint: one of its joints.
-        scene: what all robots share.
-    """
+def solve_velocity_constraints(robot: RobotRecord, joint: JointRecord) -> None:
+    """b2RevoluteJoint::SolveVelocityConstraints: the motor, then the point."""
     body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     vA_x, vA_y, wA = body_a.v_x, body_a.v_y, body_a.w
@@ -99,20 +80,11 @@ def solve_velocity_constraints(robot: RobotRecord, joint: JointRecord, scene: Sc
     k_xy, inverse_det = joint.k_xy, joint.k_inverse_det
     P_x = inverse_det * (k_xy * Cdot_y - joint.k_yy * Cdot_x)
     P_y = inverse_det * (k_xy * Cdot_x - joint.k_xx * Cdot_y)
-    P_z = _ZERO
-    if len(scene.joint_limits) > 0 and joint.limit_state != 0.0:
-        k_xz, k_yz = -rA_y * iA - rB_y * iB, rA_x * iA + rB_x * iB
-        K = joint.k_xx, k_xy, joint.k_yy, k_xz, k_yz, iA + iB
-        Cdot_z = wB - wA
-        P_x, P_y, P_z = solve_with_limit(
-            K, inverse_det, (Cdot_x, Cdot_y, Cdot_z), joint.limit_impulse, joint.limit_state
-        )
-        joint.limit_impulse = joint.limit_impulse + P_z
     joint.impulse_x, joint.impulse_y = joint.impulse_x + P_x, joint.impulse_y + P_y
     body_a.v_x, body_a.v_y = vA_x - mA * P_x, vA_y - mA * P_y
-    body_a.w = wA - iA * ((rA_x * P_y - rA_y * P_x) + P_z)
+    body_a.w = wA - iA * (rA_x * P_y - rA_y * P_x)
     body_b.v_x, body_b.v_y = vB_x + mB * P_x, vB_y + mB * P_y
-    body_b.w = wB + iB * ((rB_x * P_y - rB_y * P_x) + P_z)
+    body_b.w = wB + iB * (rB_x * P_y - rB_y * P_x)
 
 
 @inline
@@ -123,28 +95,10 @@ def add_motor_work(robot: RobotRecord, joint: JointRecord) -> None:
 
 
 @inline
-def solve_position_constraints(robot: RobotRecord, joint: JointRecord, scene: Scene) -> bool:
-    """b2RevoluteJoint::SolvePositionConstraints.
-
-    Args:
-        robot: with the joint's bodies.
-        joint: one of its joints.
-        scene: what all robots share.
-
-    Returns:
-        Whether the error was small before the correction.
-    """
+def solve_position_constraints(robot: RobotRecord, joint: JointRecord) -> bool:
+    """b2RevoluteJoint::SolvePositionConstraints. Returns whether the error was small before the correction."""
     body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
-    angular_error = _ZERO
-    if len(scene.joint_limits) > 0 and joint.limit_state != 0.0:
-        C, angular_error = limit_correction(
-            body_b.a - body_a.a, joint.lower_angle, joint.upper_angle, joint.limit_state
-        )
-        body_a.a = body_a.a - iA * (-joint.motor_mass * C)
-        body_b.a = body_b.a + iB * (-joint.motor_mass * C)
-        body_a.sin, body_a.cos = scalar_sincos(body_a.a)
-        body_b.sin, body_b.cos = scalar_sincos(body_b.a)
     cA_x, cA_y, cB_x, cB_y = body_a.c_x, body_a.c_y, body_b.c_x, body_b.c_y
     rA_x, rA_y = rotate(body_a, (joint.local_ra_x, joint.local_ra_y))
     rB_x, rB_y = rotate(body_b, (joint.local_rb_x, joint.local_rb_y))
@@ -160,4 +114,4 @@ def solve_position_constraints(robot: RobotRecord, joint: JointRecord, scene: Sc
     P_y = inverse_det * (k_xy * C_x - k_xx * C_y)
     place(body_a, (cA_x - mA * P_x, cA_y - mA * P_y), body_a.a - iA * (rA_x * P_y - rA_y * P_x))
     place(body_b, (cB_x + mB * P_x, cB_y + mB * P_y), body_b.a + iB * (rB_x * P_y - rB_y * P_x))
-    return bool(C_x * C_x + C_y * C_y <= LINEAR_SLOP_SQUARED and angular_error <= ANGULAR_SLOP)
+    return bool(C_x * C_x + C_y * C_y <= LINEAR_SLOP_SQUARED)

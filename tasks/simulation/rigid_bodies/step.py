@@ -164,12 +164,8 @@ def _record_states(robot: RobotRecord, states: Float32) -> None:
 def advance_robots(robots: Sequence[RobotRecord], scene: Scene, first_step: int, end_step: int, trace: Float32) -> None:
     """Take steps with robots, team after team.
 
-    Args:
-        robots: (n_robots,) records.
-        scene: what all robots share.
-        first_step: number of the first step since the spawn; 0 spawns the robots first.
-        end_step: number of the step before which to stop.
-        trace: (n_robots, n_steps, n_links, 6) for the states after each step; empty if they are not wanted.
+    Step 0 spawns the robots first. ``trace`` is (n_robots, n_steps, n_links, 6) for the states after each step; empty
+    if they are not wanted.
     """
     for first in range(0, len(robots), TEAM):
         team = robots[first : first + TEAM]

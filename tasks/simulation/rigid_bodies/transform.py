@@ -39,13 +39,7 @@ def synchronize_transform(body: BodyRecord) -> None:
 
 @inline
 def place(body: BodyRecord, c: Vector, a: float32) -> None:
-    """Set a body's centre of mass and angle, and its frame accordingly.
-
-    Args:
-        body: the body.
-        c: its centre of mass [m].
-        a: its angle [rad].
-    """
+    """Set a body's centre of mass and angle, and its frame accordingly."""
     body.c_x, body.c_y = c
     body.a = a
     body.sin, body.cos = scalar_sincos(a)

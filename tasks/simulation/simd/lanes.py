@@ -93,13 +93,7 @@ def part(block: Block, index: int) -> Block:
 
 
 def select(mask: Numeric, yes: Numeric, no: Numeric) -> Numeric:
-    """Return ``yes`` in lanes where the mask holds, and ``no`` elsewhere; two Python numbers make float32.
-
-    Args:
-        mask: lanes that take ``yes``.
-        yes: values where the mask holds.
-        no: values elsewhere.
-    """
+    """Return ``yes`` in lanes where the mask holds, and ``no`` elsewhere; two Python numbers make float32."""
     if isinstance(yes, float) and isinstance(no, float):
         yes, no = np.float32(yes), np.float32(no)
     chosen: Any = np.where(mask, yes, no)
@@ -137,13 +131,7 @@ def truncate(lanes: Any) -> Any:
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Return a · b + c of float64 lanes, rounded once.
-
-    Args:
-        a: factors.
-        b: factors.
-        c: summands.
-    """
+    """Return a · b + c of float64 lanes, rounded once."""
 
     def one(a: float, b: float, c: float) -> float:
         return float(Fraction(a) * Fraction(b) + Fraction(c)) if np.isfinite(a + b + c) else a * b + c
@@ -157,13 +145,7 @@ def lane(lanes: Any, index: int) -> Any:
 
 
 def with_lane(lanes: Any, index: int, number: Any) -> Any:
-    """Return lanes with the number in one of them replaced.
-
-    Args:
-        lanes: numbers.
-        index: lane.
-        number: its new number.
-    """
+    """Return lanes with the number in one of them replaced."""
     replaced = lanes.copy()
     replaced[index] = number
     return replaced

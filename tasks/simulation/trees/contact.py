@@ -41,13 +41,7 @@ _CLEARLY_APART = 0.1  # estimated gap [m] beyond which there is no contact; far 
 
 @inline
 def collide(block: Block, link: int, ground: Uniform) -> bool:
-    """Return whether a link touches the ground in any lane: b2CollidePolygons and b2Contact::Update.
-
-    Args:
-        block: group of robots.
-        link: number of the link.
-        ground: height of the ground [m].
-    """
+    """Return whether a link touches the ground in any lane: b2CollidePolygons and b2Contact::Update."""
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     hx, hy = block[at.HALF_WIDTH + link], block[at.HALF_HEIGHT + link]
     old_vertex_1, old_vertex_2 = block[at.VERTEX_1 + link], block[at.VERTEX_2 + link]
@@ -125,13 +119,6 @@ def init_velocity_constraint(block: Block, link: int, ground: Uniform, restituti
 
     Most links that touch stand on one point: the second costs time only where a lane has it.
 
-    Args:
-        block: group of robots.
-        link: number of the link.
-        ground: height of the ground [m].
-        restitution: coefficient of restitution.
-        dt_ratio: this time step over the last.
-
     Returns:
         Whether any lane has a block of two points.
     """
@@ -190,11 +177,6 @@ def solve_point(block: Block, link: int, friction: Uniform) -> None:
     """b2ContactSolver::SolveVelocityConstraints of single points: friction, then the normal.
 
     The impulses stay in the block until the next step, which makes StoreImpulses superfluous.
-
-    Args:
-        block: group of robots.
-        link: number of the link.
-        friction: coefficient of friction.
     """
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
@@ -216,13 +198,7 @@ def solve_point(block: Block, link: int, friction: Uniform) -> None:
 
 @inline
 def solve_both_points(block: Block, link: int, friction: Uniform) -> None:
-    """b2ContactSolver::SolveVelocityConstraints where some lane has two points: friction, then the block of normals.
-
-    Args:
-        block: group of robots.
-        link: number of the link.
-        friction: coefficient of friction.
-    """
+    """b2ContactSolver::SolveVelocityConstraints where a lane has two points: friction, then the block of normals."""
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
     r1_x, r1_y = block[at.R_X_1 + link], block[at.R_Y_1 + link]
@@ -299,11 +275,7 @@ def _push_out(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: U
 def solve_position_constraint(block: Block, link: int, ground: Uniform, unsolved: Mask) -> Mask:
     """Return the lanes in which a link was not too deep before b2ContactSolver::SolvePositionConstraints.
 
-    Args:
-        block: group of robots.
-        link: number of the link.
-        ground: height of the ground [m].
-        unsolved: lanes to correct; the others stay as they are.
+    The lanes ``unsolved`` are corrected; the others stay as they are.
     """
     touches = block[at.VERTEX_1 + link] != NO_VERTEX
     local_x, local_y = block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link]

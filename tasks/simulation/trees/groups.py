@@ -71,7 +71,6 @@ class Groups:
             physics.link_density,
             max_motor_impulse,
             AMPLITUDE[physics.range_of_motion],
-            physics.spawn == "root_centre",
             self.blocks,
             self._number,
         )
@@ -99,22 +98,14 @@ class Groups:
         of_links = np.pad(joints.reshape(-1, N_JOINTS)[: self.n_robots], ((0, 0), (1, 0)))  # the root has no joint
         return np.take_along_axis(of_links, self._number_of_link(), axis=1)
 
-    @property
-    def max_motor_impulse(self) -> Float32:
-        """(n_groups, n_joints, n_lanes) most that each motor gives in a step [N·m·s], to be changed in place."""
-        return self.blocks[:, layout.MAX_MOTOR_IMPULSE : layout.MAX_MOTOR_IMPULSE + N_JOINTS]
-
     def _number_of_link(self) -> Int64:
         return np.tile(self._number, (self._n_members, 1))
 
     def advance(self, scene: Scene, first_step: int, n_steps: int, trace: Float32 | None) -> None:
         """Take steps.
 
-        Args:
-            scene: shared constants.
-            first_step: number of the first step since the spawn; 0 orients the links first.
-            n_steps: number of steps.
-            trace: (n_robots, at least n_steps, n_links, 6) to fill with the states after each step, or None.
+        Step 0 orients the links first. The states after each step fill ``trace``, (n_robots, at least n_steps,
+        n_links, 6).
         """
         if trace is None:
             self._run(self._block, self.n_groups, scene, first_step, n_steps, self._no_trace, False)
@@ -134,14 +125,7 @@ class Groups:
             advance_kernel(*arguments)
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
-        """Take steps in a medium of one network per member, in a single kernel.
-
-        Args:
-            networks: networks of all members.
-            scene: shared constants.
-            first_step: number of the first step since the spawn.
-            n_steps: number of steps.
-        """
+        """Take steps in a medium of one network per member, in a single kernel."""
         coupling = coupled.couple(networks, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):
             _advance_coupled(self._block, self.n_groups, scene, first_step, n_steps, coupling, self._no_trace, False, 1)

@@ -1,4 +1,4 @@
-"""Revolute joints with motors and limits, on lanes: Box2D 2.3's b2RevoluteJoint, operation by operation.
+"""Revolute joints with motors, on lanes: Box2D 2.3's b2RevoluteJoint, operation by operation.
 
 Each lane is a robot with a tree of its own, so a joint's parent is another row in each lane. Its state is gathered from
 the rows of the links that may be the parent, and scattered back to them.
@@ -23,44 +23,25 @@ Motor constraint (one equation), with the commanded speed s:
     Cdot = ω_B - ω_A - s      J = (0, -1, 0, 1)      K = i_A + i_B      λ = -Cdot / K
 
     The accumulated impulse is clamped to the most that the motor's torque gives in a step. A motor that is off gives 0.
-
-Limits are those of tasks/simulation/joint_limit.py. Kernels for joints without limits are compiled without their code.
 """
 
 from tasks.compiled import inline
-from tasks.simulation.box2d import ANGULAR_SLOP, LINEAR_SLOP_SQUARED
-from tasks.simulation.joint_limit import limit_correction, limit_state, solve_with_limit
-from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, any_lane, from_row, select
+from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
+from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, from_row, select
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import layout as at
 
 
 @inline
 def clamp(a: Numeric, low: Numeric, high: Numeric) -> Numeric:
-    """Return values within their bounds, as b2Clamp does.
-
-    Args:
-        a: values.
-        low: lower bounds.
-        high: upper bounds.
-    """
+    """Return values within their bounds, as b2Clamp does."""
     least = select(a < high, a, high)
     return select(low > least, low, least)
 
 
-JointLimits = tuple[bool, ...]
-"""(True,) if joints have limits, else (): the type tells the compiler, which leaves out what () does not need."""
-
-
 @inline
 def of_parent(links: Block, parent: Lanes, joint: int) -> Lanes:
-    """Return a quantity of each lane's parent.
-
-    Args:
-        links: block from the quantity's row of link 0 on.
-        parent: number of the parent link.
-        joint: number of the joint; its parent is one of links 0 to ``joint``.
-    """
+    """Return a quantity of each lane's parent, one of links 0 to ``joint``, from the quantity's row of link 0 on."""
     gathered = links[0]
     for link in range(1, joint + 1):
         gathered = select(parent == link, links[link], gathered)
@@ -69,28 +50,14 @@ def of_parent(links: Block, parent: Lanes, joint: int) -> Lanes:
 
 @inline
 def to_parent(links: Block, parent: Lanes, joint: int, value: Lanes) -> None:
-    """Scatter a quantity to each lane's parent.
-
-    Args:
-        links: block from the quantity's row of link 0 on.
-        parent: number of the parent link.
-        joint: number of the joint.
-        value: quantity of the parents.
-    """
+    """Scatter a quantity to each lane's parent, the reverse of :func:`of_parent`."""
     for link in range(joint + 1):
         links[link] = select(parent == link, value, links[link])
 
 
 @inline
-def init_velocity_constraint(block: Block, joint: int, dt_ratio: Uniform, limits: JointLimits) -> None:
-    """b2RevoluteJoint::InitVelocityConstraints: r, K, and a warm start by the impulses of the last step.
-
-    Args:
-        block: group of robots.
-        joint: number of the joint.
-        dt_ratio: this time step over the last.
-        limits: whether joints have limits.
-    """
+def init_velocity_constraint(block: Block, joint: int, dt_ratio: Uniform) -> None:
+    """b2RevoluteJoint::InitVelocityConstraints: r, K, and a warm start by the impulses of the last step."""
     child = joint + 1
     parent = block[at.PARENT + joint]
     mA, iA = block[at.PARENT_INVERSE_MASS + joint], block[at.PARENT_INVERSE_INERTIA + joint]
@@ -116,13 +83,6 @@ def init_velocity_constraint(block: Block, joint: int, dt_ratio: Uniform, limits
     block[at.IMPULSE_X + joint], block[at.IMPULSE_Y + joint], block[at.MOTOR_IMPULSE + joint] = P_x, P_y, motor_impulse
 
     turn_A, turn_B = (rA_x * P_y - rA_y * P_x) + motor_impulse, (rB_x * P_y - rB_y * P_x) + motor_impulse
-    if len(limits) > 0:
-        angle = block[at.ANGLE + child] - of_parent(from_row(block, at.ANGLE), parent, joint)
-        state = limit_state(angle, block[at.LOWER_ANGLE + joint], block[at.UPPER_ANGLE + joint])
-        same = state == block[at.LIMIT_STATE + joint]
-        limit_impulse = select(same, block[at.LIMIT_IMPULSE + joint] * dt_ratio, 0.0)
-        block[at.LIMIT_STATE + joint], block[at.LIMIT_IMPULSE + joint] = state, limit_impulse
-        turn_A, turn_B = turn_A + limit_impulse, turn_B + limit_impulse
 
     to_parent(from_row(block, at.VX), parent, joint, of_parent(from_row(block, at.VX), parent, joint) - mA * P_x)
     to_parent(from_row(block, at.VY), parent, joint, of_parent(from_row(block, at.VY), parent, joint) - mA * P_y)
@@ -134,14 +94,8 @@ def init_velocity_constraint(block: Block, joint: int, dt_ratio: Uniform, limits
 
 
 @inline
-def solve_velocity_constraint(block: Block, joint: int, limits: JointLimits) -> None:
-    """b2RevoluteJoint::SolveVelocityConstraints: the motor, then the point, with the limit if the joint is at one.
-
-    Args:
-        block: group of robots.
-        joint: number of the joint.
-        limits: whether joints have limits.
-    """
+def solve_velocity_constraint(block: Block, joint: int) -> None:
+    """b2RevoluteJoint::SolveVelocityConstraints: the motor, then the point."""
     child = joint + 1
     parent = block[at.PARENT + joint]
     mA, iA = block[at.PARENT_INVERSE_MASS + joint], block[at.PARENT_INVERSE_INERTIA + joint]
@@ -168,16 +122,6 @@ def solve_velocity_constraint(block: Block, joint: int, limits: JointLimits) -> 
     impulse_x = inverse_det * (k_xy * Cdot_y - block[at.K_YY + joint] * Cdot_x)
     impulse_y = inverse_det * (k_xy * Cdot_x - block[at.K_XX + joint] * Cdot_y)
     turn_A, turn_B = rA_x * impulse_y - rA_y * impulse_x, rB_x * impulse_y - rB_y * impulse_x
-    if len(limits) > 0 and any_lane(block[at.LIMIT_STATE + joint] != 0.0):
-        state, accumulated = block[at.LIMIT_STATE + joint], block[at.LIMIT_IMPULSE + joint]
-        k_xz, k_yz = -rA_y * iA - rB_y * iB, rA_x * iA + rB_x * iB
-        K = block[at.K_XX + joint], k_xy, block[at.K_YY + joint], k_xz, k_yz, iA + iB
-        x, y, z = solve_with_limit(K, inverse_det, (Cdot_x, Cdot_y, wB - wA), accumulated, state)
-        impulse_x, impulse_y = select(state != 0.0, x, impulse_x), select(state != 0.0, y, impulse_y)
-        impulse_z = select(state != 0.0, z, 0.0)
-        block[at.LIMIT_IMPULSE + joint] = accumulated + impulse_z
-        turn_A = (rA_x * impulse_y - rA_y * impulse_x) + impulse_z
-        turn_B = (rB_x * impulse_y - rB_y * impulse_x) + impulse_z
     block[at.IMPULSE_X + joint] = block[at.IMPULSE_X + joint] + impulse_x
     block[at.IMPULSE_Y + joint] = block[at.IMPULSE_Y + joint] + impulse_y
 
@@ -197,14 +141,10 @@ def add_motor_work(block: Block, joint: int) -> None:
 
 
 @inline
-def solve_position_constraint(block: Block, joint: int, unsolved: Mask, limits: JointLimits) -> Mask:
+def solve_position_constraint(block: Block, joint: int, unsolved: Mask) -> Mask:
     """Return the lanes in which a joint was within the tolerance before b2RevoluteJoint::SolvePositionConstraints.
 
-    Args:
-        block: group of robots.
-        joint: number of the joint.
-        unsolved: lanes to correct; the others stay as they are.
-        limits: whether joints have limits.
+    The lanes ``unsolved`` are corrected; the others stay as they are.
     """
     child = joint + 1
     parent = block[at.PARENT + joint]
@@ -212,8 +152,6 @@ def solve_position_constraint(block: Block, joint: int, unsolved: Mask, limits: 
     mB, iB = block[at.INVERSE_MASS + child], block[at.INVERSE_INERTIA + child]
     cA_x, cA_y = of_parent(from_row(block, at.X), parent, joint), of_parent(from_row(block, at.Y), parent, joint)
     cB_x, cB_y = block[at.X + child], block[at.Y + child]
-    if len(limits) > 0:
-        within = _turn_back(block, joint, unsolved)
 
     rA_x = -(of_parent(from_row(block, at.SIN), parent, joint) * block[at.PARENT_ANCHOR + joint])
     rA_y = of_parent(from_row(block, at.COS), parent, joint) * block[at.PARENT_ANCHOR + joint]
@@ -223,8 +161,6 @@ def solve_position_constraint(block: Block, joint: int, unsolved: Mask, limits: 
     C_x = cB_x + rB_x - cA_x - rA_x
     C_y = cB_y + rB_y - cA_y - rA_y
     good_enough: Mask = C_x * C_x + C_y * C_y <= LINEAR_SLOP_SQUARED
-    if len(limits) > 0:
-        good_enough = good_enough & within
 
     # Box2D associates these products otherwise than in the velocity constraint, which rounds otherwise.
     k_xx = mA + mB + iA * rA_y * rA_y + iB * rB_y * rB_y
@@ -247,30 +183,3 @@ def solve_position_constraint(block: Block, joint: int, unsolved: Mask, limits: 
     block[at.X + child], block[at.Y + child] = cB_x + mB * impulse_x, cB_y + mB * impulse_y
     block[at.ANGLE + child], block[at.SIN + child], block[at.COS + child] = aB, sin_B, cos_B
     return good_enough
-
-
-@inline
-def _turn_back(block: Block, joint: int, unsolved: Mask) -> Mask:
-    """Turn a joint back to its limit, and return the lanes in which it was within the tolerance.
-
-    Args:
-        block: group of robots.
-        joint: number of the joint.
-        unsolved: lanes to correct; the others stay as they are.
-    """
-    child, state = joint + 1, block[at.LIMIT_STATE + joint]
-    parent = block[at.PARENT + joint]
-    aA, aB = of_parent(from_row(block, at.ANGLE), parent, joint), block[at.ANGLE + child]
-    C, error = limit_correction(aB - aA, block[at.LOWER_ANGLE + joint], block[at.UPPER_ANGLE + joint], state)
-    if any_lane(state != 0.0):
-        impulse = select(unsolved, -block[at.MOTOR_MASS + joint] * C, 0.0)
-        aA = aA - block[at.PARENT_INVERSE_INERTIA + joint] * impulse
-        aB = aB + block[at.INVERSE_INERTIA + child] * impulse
-        sin_A, cos_A = sincos(aA)
-        sin_B, cos_B = sincos(aB)
-        to_parent(from_row(block, at.ANGLE), parent, joint, aA)
-        to_parent(from_row(block, at.SIN), parent, joint, sin_A)
-        to_parent(from_row(block, at.COS), parent, joint, cos_A)
-        block[at.ANGLE + child], block[at.SIN + child], block[at.COS + child] = aB, sin_B, cos_B
-    within: Mask = error <= ANGULAR_SLOP
-    return within

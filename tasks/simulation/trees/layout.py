@@ -30,10 +30,7 @@ PARENT, PARENT_INVERSE_MASS, PARENT_INVERSE_INERTIA, PARENT_ANCHOR, CHILD_ANCHOR
 # Controllers: phase [turns], amplitude and rest angle [rad] of each joint; one frequency per robot [Hz].
 PHASE, AMPLITUDE, REST_ANGLE = range(MAX_MOTOR_IMPULSE + N_JOINTS, MAX_MOTOR_IMPULSE + 4 * N_JOINTS, N_JOINTS)
 FREQUENCY = REST_ANGLE + N_JOINTS
-# Limits of joints, used only where there are any: angles [rad], the impulse that warm-starts them, and the state, as in
-# joint_limit.py.
-LOWER_ANGLE, UPPER_ANGLE, LIMIT_IMPULSE, LIMIT_STATE = range(FREQUENCY + 1, FREQUENCY + 1 + 4 * N_JOINTS, N_JOINTS)
-N_PACKED = LIMIT_STATE + N_JOINTS  # what a robot brings along; the rest is scratch
+N_PACKED = FREQUENCY + 1  # what a robot brings along; the rest is scratch
 
 # Scratch, rewritten in every step. Joints: r_A, r_B and K of b2RevoluteJoint, 1/det K, and the motor.
 _JOINT = N_PACKED

@@ -30,14 +30,9 @@ _LENGTH, _REST_ANGLE, _FREQUENCY, _PHASE, _MOTION_RANGE, _MOTOR_ON = (
 
 @inline
 def inverse_mass_and_inertia(half_width: Uniform, half_height: Uniform, density: Uniform) -> tuple[Uniform, Uniform]:
-    """Return inverse mass [1/kg] and inertia [1/(kg·m²)] of a box, as Box2D computes them in float32.
+    """Return inverse mass [1/kg] and inertia [1/(kg·m²)] of a box by its half axes [m] and density [kg/m²].
 
-    Follows b2PolygonShape::ComputeMass and b2Body::ResetMassData, operation by operation.
-
-    Args:
-        half_width: half the short axis [m].
-        half_height: half the long axis [m].
-        density: density [kg/m²].
+    Follows b2PolygonShape::ComputeMass and b2Body::ResetMassData in float32, operation by operation.
     """
     x, y = half_width, half_height
     corner_x, corner_y = (-x, x, x, -x), (-y, -y, y, y)
@@ -82,7 +77,6 @@ def pack_robots(
     density: float,
     max_motor_impulse: np.float32,
     amplitude: float,
-    root_at_surface: bool,
     blocks: Float32,
     number: Int64,
 ) -> None:
@@ -91,19 +85,12 @@ def pack_robots(
     Robot member · n_designs + design is in lane i mod n_lanes of group i // n_lanes. Lanes left over at the end get
     copies of the last robot.
 
-    Args:
-        table: (n_designs, N_COLUMNS) designs.
-        n_members: robots per design.
-        n_lanes: lanes of a group.
-        density: density of every link [kg/m²].
-        max_motor_impulse: largest impulse in a step of a motor that is on [N·m·s].
-        amplitude: amplitude of a joint's oscillation over its range of motion.
-        root_at_surface: whether the root's centre begins at the surface, and not the lowest corner.
-        blocks: (n_groups, N_ROWS, n_lanes) zeros to fill.
-        number: (n_designs, n_links) array to fill with the engine's numbers of the links.
+    ``amplitude`` is that of an oscillation over its range of motion, ``max_motor_impulse`` [N·m·s] the most in a step
+    of a motor that is on. Filled are the zeros of ``blocks``, (n_groups, N_ROWS, n_lanes), and ``number``, (n_designs,
+    n_links), the engine's numbers of the links.
     """
     single, n_robots = np.float32, n_members * len(table)
-    links, one_density = spawn_kernel(table, density, root_at_surface), single(density)
+    links, one_density = spawn_kernel(table, density), single(density)
     half_width, half_height, mass, inertia = links[0], links[1], links[2], links[3]
     parent_anchor, child_anchor, x, y, angle = links[4], links[5], links[6], links[7], links[8]
     for design in range(len(table)):
@@ -137,9 +124,8 @@ def pack_robots(
                 robot[layout.CHILD_ANCHOR + j] = child_anchor[design, link]
                 robot[layout.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if genes[_MOTOR_ON + link] != 0 else _ZERO
                 robot[layout.PHASE + j] = single(genes[_PHASE + link] / TURN)
-                rest, swing = single(genes[_REST_ANGLE + link]), single(amplitude * genes[_MOTION_RANGE + link])
-                robot[layout.REST_ANGLE + j], robot[layout.AMPLITUDE + j] = rest, swing
-                robot[layout.LOWER_ANGLE + j], robot[layout.UPPER_ANGLE + j] = rest - swing, rest + swing
+                robot[layout.REST_ANGLE + j] = single(genes[_REST_ANGLE + link])
+                robot[layout.AMPLITUDE + j] = single(amplitude * genes[_MOTION_RANGE + link])
         for copy in range(design, n_robots, len(table)):
             for row in range(len(robot)):
                 blocks[copy // n_lanes, row, copy % n_lanes] = robot[row]

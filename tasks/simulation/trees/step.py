@@ -19,14 +19,13 @@ from tasks.simulation.simd.lanes import Block, Numeric, any_lane, count_parts, f
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
-from tasks.simulation.trees.joint import JointLimits, of_parent
-from tasks.world.slush import INTEGRATIONS, TINY
+from tasks.simulation.trees.joint import of_parent
+from tasks.world.slush import TINY
 
 # float32, because motor_speed and slush_change serve lanes and the numbers of tasks/simulation/rigid_bodies.
 _C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in SINE_OF_TURNS)
 _ZERO, _QUARTER, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.25, 0.5, 1, 2, 4, 24))
 _TINY = np.float32(TINY)
-_EXACT, _CLAMPED_EULER = INTEGRATIONS.index("exact"), INTEGRATIONS.index("clamped_euler")
 
 MAX_GROUPS_AT_ONCE = 2  # of two, what the velocity solver uses still fits a core's L1 cache
 
@@ -50,8 +49,6 @@ class Scene(NamedTuple):
     angular_drag: np.float32  # ρ C_dr dt
     lift: np.float32  # ρ g dt
     by_component: bool  # whether drag acts on each component of the velocity by itself
-    integration: int  # index of the drag's integration in INTEGRATIONS
-    joint_limits: JointLimits  # whether joints have limits
     motor_work: bool = False  # whether to add up the work of the motors
 
 
@@ -59,12 +56,7 @@ class Scene(NamedTuple):
 def motor_speed(turns: Numeric, rest_angle: Numeric, amplitude: Numeric, joint_angle: Numeric, scene: Scene) -> Numeric:
     """Return the motor speed gain · (θ* - θ), within its limit, of lanes or numbers [rad/s]; as in controller.py.
 
-    Args:
-        turns: phase at the present time [turns].
-        rest_angle: rest angle [rad].
-        amplitude: amplitude [rad].
-        joint_angle: angle θ of the joint [rad].
-        scene: gain and limit.
+    ``turns`` is the phase at the present time; the angles are in radians.
     """
     r = turns - floor(turns + _HALF)
     folded = _QUARTER - abs(abs(r) - _QUARTER)
@@ -97,31 +89,10 @@ def _share(share: Numeric) -> Numeric:
 def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Numeric) -> tuple[Numeric, ...]:
     """Return half the rises of a link's short and long edge, and the depth of its lowest corner [m]; as in slush.py.
 
-    Args:
-        length: long axis [m].
-        width: short axis [m].
-        y: height of the centre over the surface [m].
-        cos: cosine of the angle.
-        sin: sine of the angle.
+    ``y`` is the height of the centre over the surface [m].
     """
     rise_short, rise_long = abs(sin) * width / _TWO, abs(cos) * length / _TWO
     return rise_short, rise_long, rise_short + rise_long - y
-
-
-@inline
-def _after_drag(velocity: Numeric, lost: Numeric, integration: int) -> Numeric:
-    """Return a velocity after drag; as in slush.py.
-
-    Args:
-        velocity: [m/s] or [rad/s].
-        lost: k |v| dt.
-        integration: index in INTEGRATIONS.
-    """
-    if integration == _EXACT:
-        return velocity / (_ONE + lost)
-    if integration == _CLAMPED_EULER:
-        lost = select(lost < _ONE, lost, _ONE)
-    return velocity - lost * velocity
 
 
 @inline
@@ -138,16 +109,7 @@ def slush_change(
 ) -> tuple[Numeric, ...]:
     """Return the changes of vx, vy [m/s] and omega [rad/s] by the slush in one step; see tasks/world/slush.py.
 
-    Args:
-        length: long axis of the link [m].
-        width: short axis [m].
-        mass: mass [kg].
-        inertia: moment of inertia [kg·m²].
-        velocity: vx, vy [m/s] and omega [rad/s].
-        rise_short: half the rise of the short edge [m].
-        rise_long: half the rise of the long edge [m].
-        depth: depth of the lowest corner [m], above 0.
-        scene: shared constants.
+    ``rise_short``, ``rise_long`` and ``depth`` [m], above 0, are those of :func:`immersion`.
     """
     per_short = _HALF / select(rise_short > _TINY, rise_short, _TINY)
     per_long = _HALF / select(rise_long > _TINY, rise_long, _TINY)
@@ -168,10 +130,8 @@ def slush_change(
     if scene.by_component:
         speed_x, speed_y = abs(vx), abs(vy)
     lift = scene.lift * area / mass
-    after_x = _after_drag(vx, k_dt * speed_x, scene.integration)
-    after_y = _after_drag(vy, k_dt * speed_y, scene.integration)
-    after_omega = _after_drag(omega, k_r_dt * abs(omega), scene.integration)
-    return after_x - vx, (after_y + lift) - vy, after_omega - omega
+    after_x, after_y = vx / (_ONE + k_dt * speed_x), vy / (_ONE + k_dt * speed_y)
+    return after_x - vx, (after_y + lift) - vy, omega / (_ONE + k_r_dt * abs(omega)) - omega
 
 
 @inline
@@ -226,13 +186,13 @@ def _part_of_groups(groups: Block, index: int) -> Block:
 @inline
 def _start_joint(groups: Block, n_groups: int, j: int, scene: Scene) -> None:
     for k in range(n_groups):
-        joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene.dt_ratio, scene.joint_limits)
+        joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene.dt_ratio)
 
 
 @inline
-def _sweep_joint(groups: Block, n_groups: int, j: int, scene: Scene) -> None:
+def _sweep_joint(groups: Block, n_groups: int, j: int) -> None:
     for k in range(n_groups):
-        joint.solve_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene.joint_limits)
+        joint.solve_velocity_constraint(from_row(groups, k * at.N_ROWS), j)
 
 
 @inline
@@ -247,11 +207,11 @@ def _solve_velocities(groups: Block, n_groups: int, scene: Scene, touching: int,
     _start_joint(groups, n_groups, 3, scene)
     _start_joint(groups, n_groups, 4, scene)
     for _ in range(scene.velocity_iterations):
-        _sweep_joint(groups, n_groups, 0, scene)
-        _sweep_joint(groups, n_groups, 1, scene)
-        _sweep_joint(groups, n_groups, 2, scene)
-        _sweep_joint(groups, n_groups, 3, scene)
-        _sweep_joint(groups, n_groups, 4, scene)
+        _sweep_joint(groups, n_groups, 0)
+        _sweep_joint(groups, n_groups, 1)
+        _sweep_joint(groups, n_groups, 2)
+        _sweep_joint(groups, n_groups, 3)
+        _sweep_joint(groups, n_groups, 4)
         if touching == 0:  # afloat, or in the air
             continue
         for index in range(n_groups * count_parts(groups)):
@@ -273,11 +233,11 @@ def _solve_positions(block: Block, scene: Scene, touching: int) -> None:
         for link in range(scene.n_links):
             if touching >> link & 1:
                 solved = solved & contact.solve_position_constraint(block, link, scene.ground, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 0, unsolved, scene.joint_limits)
-        solved = solved & joint.solve_position_constraint(block, 1, unsolved, scene.joint_limits)
-        solved = solved & joint.solve_position_constraint(block, 2, unsolved, scene.joint_limits)
-        solved = solved & joint.solve_position_constraint(block, 3, unsolved, scene.joint_limits)
-        solved = solved & joint.solve_position_constraint(block, 4, unsolved, scene.joint_limits)
+        solved = solved & joint.solve_position_constraint(block, 0, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 1, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 2, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 3, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 4, unsolved)
         unsolved = unsolved & ~solved
         if not any_lane(unsolved):
             break
@@ -358,14 +318,8 @@ def advance(
 ) -> None:
     """Step groups of robots.
 
-    Args:
-        blocks: n_groups groups of N_ROWS rows, one after the other.
-        n_groups: number of groups.
-        scene: shared constants.
-        first_step: number of the first step since the spawn; 0 orients the links first.
-        n_steps: number of steps, at least 0.
-        trace: n_groups · n_steps · N_TRACED rows to fill with the states after each step.
-        traced: whether to fill them.
+    ``blocks`` holds n_groups groups of N_ROWS rows, one after the other. Step 0 orients the links first. If
+    ``traced``, the states after each step fill the n_groups · n_steps · N_TRACED rows of ``trace``.
     """
     for group in range(0, n_groups, MAX_GROUPS_AT_ONCE):
         together = from_row(blocks, group * at.N_ROWS)

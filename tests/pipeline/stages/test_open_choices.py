@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from command_line import refused
 from small_study import labelled, run
 
 from pipeline.cluster import serial_cluster
@@ -82,14 +81,6 @@ def test_what_is_not_chosen_is_in_no_key(settings):
     usual = changed(settings, "ensemble.deviation=population")
     for stage in (EVOLVE, TRANSFER):
         written = "".join(specs(stage, usual))
-        for name in ("deviation", "joint_limits", "spawn", "drag_integration", "changed_genes", "parent_selection"):
+        for name in ("deviation", "range_of_motion", "changed_genes", "parent_selection"):
             assert f'"{name}"' not in written
     assert "deviation" in "".join(specs(EVOLVE, settings))
-
-
-def test_joint_limits_contradict_locked_joints(capsys, tmp_path):
-    overrides = ("--set", "physics.joint_limits=range_of_motion", "--set", "physics.passive_joints=locked")
-    said = refused(capsys, "study", "--preset", "smoke", *overrides, "--store", str(tmp_path / "store"))
-    assert len(said.splitlines()) == 1
-    assert "physics: joint_limits is range_of_motion and passive_joints is locked" in said
-    assert not (tmp_path / "store").exists()

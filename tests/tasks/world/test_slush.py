@@ -109,25 +109,18 @@ def test_drag_slows_and_never_reverses(seed: int, exponent: int, factor: float) 
 
 
 @pytest.mark.parametrize("form", ["vector", "by_component"])
-@pytest.mark.parametrize("integration", ["exact", "euler", "clamped_euler"])
-def test_the_forms_of_drag_and_their_integration(form: str, integration: str) -> None:
+def test_the_forms_of_drag(form: str) -> None:
     # Fully submerged, A_s = 1 m² and m = 1 kg: k = ½ · 1.25 · 10 = 6.25 /m. I_s = I, so k_r = 1.25 · 20 = 25.
     links = link_states(50, np.random.default_rng(17))
     links = LinkStates(**{**vars(links), "y": np.full(50, -9.0)})
-    slush = Slush(drag=form, drag_integration=integration)
+    slush = Slush(drag=form)
     after = added(links, slush.velocity_change(links, Physics(gravity=0.0)))
     speed = np.hypot(links.vx, links.vy)
     of_x, of_y = (speed, speed) if form == "vector" else (abs(links.vx), abs(links.vy))
     rates = {"vx": 6.25 * of_x, "vy": 6.25 * of_y, "omega": 25 * abs(links.omega)}
     for name, rate in rates.items():
         before = getattr(links, name)
-        expected = {
-            "exact": before / (1 + rate / 60),
-            "euler": before * (1 - rate / 60),
-            "clamped_euler": before * np.maximum(1 - rate / 60, 0),
-        }
-        np.testing.assert_allclose(getattr(after, name), expected[integration], rtol=1e-9, atol=1e-9)
-    assert (rates["omega"] > 60).any()  # so that clamping matters
+        np.testing.assert_allclose(getattr(after, name), before / (1 + rate / 60), rtol=1e-9, atol=1e-9)
 
 
 def test_buoyancy_alone_moves_a_link_that_rests() -> None:
