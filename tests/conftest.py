@@ -37,12 +37,7 @@ TOGETHER = {
         "workflow/test_dispatcher.py",
         "torture/test_order.py",
     ),
-    "fork_server": (
-        "torture/test_processes.py",
-        "torture/test_crash_points.py",
-        "torture/test_corruption.py",
-        "torture/test_full_disk.py",
-    ),
+    "quick_study": ("torture/test_crash_points.py", "torture/test_corruption.py", "torture/test_full_disk.py"),
     "study": (
         "commands/test_bad_input.py",
         "commands/test_by_name.py",
@@ -77,7 +72,8 @@ TOGETHER = {
 
 LONGEST_FIRST = (
     *TOGETHER["local_ray"],
-    *TOGETHER["fork_server"],
+    *TOGETHER["quick_study"],
+    "torture/test_processes.py",
     *TOGETHER["study"],
     "tracking/test_pages.py",
     "torture/test_kills.py",

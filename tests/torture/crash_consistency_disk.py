@@ -8,16 +8,18 @@ disk as it could be found after the cut.
 
 from __future__ import annotations
 
+import contextlib
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import pytest
+
+from pipeline.store import disk
+
 EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink", "rmdir")
-DEAD = 9
-"""Exit code of a child that a fault has ended."""
 
 
 @dataclass
@@ -127,124 +129,57 @@ def write_image(image: Image, target: Path) -> None:
 
 
 class Survey:
-    """The distinct disks that all faults of one run would leave, collected without any of them happening."""
+    """The distinct disks that faults would leave at every point of one run, without any of them happening."""
 
-    def __init__(
-        self, account: Account, committed: list[str], kinds: list[str], seed: int, points: list[int] | None
-    ) -> None:
-        self._account, self._committed, self._kinds, self._seed = account, committed, kinds, seed
-        self._points = points
+    def __init__(self, top: Path, committed: list[str], kinds: Sequence[str], seed: int) -> None:
+        self._account, self._committed, self._kinds, self._seed = Account(top), committed, kinds, seed
         self._number: dict[frozenset[tuple[str, bytes | None]], int] = {}
+        self.effects: list[str] = []
         self.disks: list[Image] = []
-        self.described: list[dict[str, Any]] = []
-        """For each disk, the faults that leave it and the items committed before the last of them."""
+        self.n_faults = 0
+        self.committed: list[list[str]] = []
+        """For each disk, the items that were committed before the last fault that leaves it."""
 
-    def observe(self, at: int, effect: str, path: Path, *rest: Any) -> None:
+    def _observe(self, effect: str, path: Path, *rest: Any) -> None:
         """Collect the disks that faults before this effect would leave."""
-        if self._points is not None and at not in self._points:
-            return
         for kind in self._kinds:
             loses = "none" if kind in ("die", "tear") else kind
-            image = self._account.image(loses, random.Random(self._seed + at))
+            image = self._account.image(loses, random.Random(self._seed + len(self.effects)))
             if kind == "tear":
                 if effect != "write":
                     continue
                 image[self._account.name(path)] = rest[0][: len(rest[0]) // 2]
+            self.n_faults += 1
             number = self._number.setdefault(frozenset(image.items()), len(self.disks))
             if number == len(self.disks):
                 self.disks.append(image)
-                self.described.append({"faults": []})
-            self.described[number]["faults"].append([kind, at])
-            self.described[number]["committed"] = list(self._committed)
+                self.committed.append([])
+            self.committed[number] = list(self._committed)
+
+    def watch(self, name: str, effect: Callable[..., None]) -> Callable[..., None]:
+        """Return an effect that is observed, happens, and is accounted for."""
+
+        def watched(path: Path, *rest: Any) -> None:
+            self._observe(name, path, *rest)
+            self.effects.append(name)
+            effect(path, *rest)
+            self._account.record(name, path, *rest)
+
+        return watched
 
 
-# -- the seam --------------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class _State:
-    effects: list[str] = field(default_factory=list)
-    fault: dict[str, Any] | None = None
-    account: Account | None = None
-    survey: Survey | None = None
-    die: Callable[[], None] = lambda: None
-
-
-_state = _State()
-
-
-def watch(disk: ModuleType) -> None:
-    """Insert this module between the store and the six effects."""
-    for name in EFFECTS:
-        setattr(disk, name, _guard(name, getattr(disk, name)))
-
-
-def at_death(die: Callable[[], None]) -> None:
-    """Set what ends a process that a fault strikes; it must not return."""
-    _state.die = die
-
-
-def arm(fault: dict[str, Any] | None, top: Path) -> None:
-    """Reset the count of effects, and strike before effect number ``fault["at"]`` if there is a fault.
-
-    ``fault["kind"]`` is die; tear, where a write stops half-way; or power, where the disk after the cut is written to
-    ``fault["image"]`` without what ``fault["loses"]`` names.
-    """
-    _state.effects, _state.fault, _state.account, _state.survey = [], fault, None, None
-    if fault and fault["kind"] == "power":
-        _state.account = Account(top)
-
-
-def survey(top: Path, committed: list[str], kinds: list[str], seed: int, points: list[int] | None = None) -> Survey:
-    """Collect, from :func:`arm` on, the disks that faults would leave of a folder.
+@contextlib.contextmanager
+def survey(top: Path, kinds: Sequence[str], seed: int, committed: list[str] | None = None) -> Iterator[Survey]:
+    """Survey what runs meanwhile.
 
     Args:
-        top: the folder.
-        committed: keys of the committed items, a list that grows.
+        top: the folder whose disk it is.
         kinds: faults to consider: die, tear, or what a power cut loses.
         seed: seed for what a power cut loses at random.
-        points: numbers of the effects before which faults are considered; all of them if None.
-
-    Returns:
-        The survey, which is complete when the run is.
+        committed: keys of the committed items, a list that grows.
     """
-    _state.account = Account(top)
-    _state.survey = Survey(_state.account, committed, kinds, seed, points)
-    return _state.survey
-
-
-def stop_survey() -> None:
-    """End the survey."""
-    _state.survey = None
-
-
-def effects() -> list[str]:
-    """List the effects since :func:`arm`."""
-    return _state.effects
-
-
-def strike() -> None:
-    """Let the fault happen."""
-    fault, account = _state.fault, _state.account
-    if fault is not None and account is not None and fault["kind"] == "power":
-        write_image(account.image(fault["loses"], random.Random(fault.get("seed", 0))), Path(fault["image"]))
-    _state.die()
-
-
-def _guard(name: str, effect: Callable[..., None]) -> Callable[..., None]:
-    def guarded(path: Path, *rest: Any) -> None:
-        fault = _state.fault
-        if fault is not None and len(_state.effects) == fault["at"]:
-            if fault["kind"] == "tear":
-                if name != "write":
-                    raise AssertionError(f"effect {fault['at']} is a {name}, expected a write")
-                effect(path, rest[0][: len(rest[0]) // 2])
-            strike()
-        if _state.survey is not None:
-            _state.survey.observe(len(_state.effects), name, path, *rest)
-        _state.effects.append(name)
-        effect(path, *rest)
-        if _state.account is not None:
-            _state.account.record(name, path, *rest)
-
-    return guarded
+    found = Survey(top, [] if committed is None else committed, kinds, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        for name in EFFECTS:
+            patch.setattr(disk, name, found.watch(name, getattr(disk, name)))
+        yield found

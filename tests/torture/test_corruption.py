@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quick_study import QuietTerminal, tree
 
-from pipeline.commands.damage import find_damage
+from pipeline.commands.damage import find_damage, verify
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
@@ -17,11 +18,11 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def pristine(fork_server, tmp_path_factory):
-    """A store with a finished study, and the digests of its files."""
+def pristine(full, tmp_path_factory):
+    """A store with a finished study."""
     root = tmp_path_factory.mktemp("pristine") / "store"
-    (answer,) = fork_server.finish([root], study="full")
-    return root, answer["tree"]
+    full.drive(root)
+    return root
 
 
 def damaged(good: bytes, kind: str, rng: np.random.Generator) -> bytes:
@@ -38,11 +39,10 @@ def damaged(good: bytes, kind: str, rng: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["a flipped bit", "cut off", "longer", "zeros at the end", "gone"])
-def test_damage_is_named_and_alone_is_recomputed(torture, fork_server, pristine, new_folder, kind):
-    undisturbed, expected = pristine
+def test_damage_is_named_and_alone_is_recomputed(torture, full, pristine, new_folder, kind):
     for rng in torture.attempts(6, 1000):
         root = new_folder() / "store"
-        shutil.copytree(undisturbed, root)
+        shutil.copytree(pristine, root)
         files = sorted(path for path in root.glob("items/*/*/*/*") if "report" not in path.parts)
         path = files[int(rng.integers(len(files)))]
         stage, key = path.parts[-4], path.parent.name
@@ -61,9 +61,9 @@ def test_damage_is_named_and_alone_is_recomputed(torture, fork_server, pristine,
             with pytest.raises(DamagedArtifact, match=str(path)):
                 for name in store.manifest(stage, key).files:
                     store.read(store.manifest(stage, key), name)
-        (answer,) = fork_server.finish([root], study="full", discard=True)
-        assert answer["computed"] == [key]
-        assert answer["tree"] == expected
+        verify(store, None, discard=True, progress=QuietTerminal())
+        assert full.drive(root).computed == [key]
+        assert tree(root) == tree(pristine)
         shutil.rmtree(root)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 import yaml
-from fork_server import TINY, QuietTerminal, logged, run_study, submissions_of, tree
+from quick_study import TINY, logged, run_study, submissions_of, tree
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import load
@@ -42,7 +42,7 @@ STUDY = TINY | {
 DRIVER = """
 import sys
 from pathlib import Path
-from fork_server import QuietTerminal, logged, run_study
+from quick_study import logged, run_study
 from pipeline.cluster import ray_cluster
 from pipeline.config.loading import load
 from pipeline.errors import PuddleError
@@ -54,7 +54,7 @@ settings, root = load(Settings, Path(sys.argv[1])), Path(sys.argv[2])
 on_ray = lambda: logged(ray_cluster("local", 2), root)
 try:
     store = Store.open(root, create=True)
-    run_study(settings, store, QuietTerminal([]), stages=STAGES[:-1], open_cluster=on_ray)
+    run_study(settings, store, stages=STAGES[:-1], open_cluster=on_ray)
 except PuddleError as error:
     sys.exit(f"stopped: {error}")
 """
@@ -66,7 +66,6 @@ def serially(settings: Path, store: Path) -> dict[str, str]:
     run_study(
         load(Settings, settings),
         Store.open(store, create=True),
-        QuietTerminal([]),
         stages=STAGES[:-1],
         open_cluster=lambda: logged(serial_cluster(), store),
     )

@@ -193,27 +193,14 @@ def test_a_second_driver_is_refused_and_the_first_is_named(tmp_path: Path):
         assert "Wait until it ends, or stop it" in said
 
 
-def test_drivers_at_once_on_one_store_and_one_database(torture, fork_server, new_folder):
-    """Drivers of two studies that share work, one store, one MLflow: no error, and each study as if alone."""
-    alone = {}
-    for name in ("tiny", "longer"):
-        (answer,) = fork_server.finish([new_folder() / "store"], study=name)
-        alone |= {path: sha256 for path, sha256 in answer["tree"].items() if path.startswith(("items/", "studies/"))}
-    n_refused = 0
-    for _ in torture.attempts(1, 50):
-        root = new_folder() / "store"
-        answers = fork_server.drive_at_once(root, ["tiny", "longer"] * (4 if torture.large else 2), mlflow=True)
-        for one in answers:  # the first of each study drives; the others are refused while it runs
-            assert "is driven by process" in one.get("error", "is driven by process")
-            assert not any("MLflow" in line for line in one["said"])
-            n_refused += "error" in one
-        for name in (0, 1):
-            assert any("error" not in one for one in answers[name::2])
-        store = Store.open(root, create=False)
-        found = fork_server.drive(root, drive=False)["tree"]
-        assert {path: found[path] for path in found if path.startswith(("items/", "studies/"))} == alone
-        assert store.verify() == []
-        assert sorted(mirrored(root)) == ["longer", "tiny"]
+def test_two_studies_at_once_on_one_store_and_one_database(tmp_path: Path):
+    land = ("--workers", "0", "--set", "grid.environments=[dry_land]")
+    longer = ("--set", "name=longer", "--set", "evolution.n_generations=6")
+    with driver(tmp_path, *land, command="evolve") as one, driver(tmp_path, *land, *longer, command="evolve") as other:
+        for each in (one, other):
+            assert each.process.wait(PATIENCE) == 0, each.said()
+    assert Store.open(tmp_path / "store", create=False).verify() == []
+    assert sorted(mirrored(tmp_path / "store")) == ["longer", "tiny"]
 
 
 def mirrored(root: Path) -> list[str]:

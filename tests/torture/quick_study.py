@@ -1,0 +1,187 @@
+"""Studies whose work items are computed once and then looked up, so that a real driver ends one within milliseconds."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pipeline.cluster import Cluster, serial_cluster
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.stages.report import PAGE
+from pipeline.store.encoding import digest
+from pipeline.store.store import Store
+from pipeline.workflow.driver import drive
+from pipeline.workflow.progress import Work
+from pipeline.workflow.stage import AnyStage
+
+TINY = {
+    "name": "tiny",
+    "throws": {"n_throws": 2, "n_steps": 20},
+    "network": {"hidden_layers": 1, "width": 4},
+    "training": {"n_iterations": 10, "batch_size": 16},
+    "ensemble": {"n_members": 2},
+    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [], "n_trials": 1},
+    "rollout": {"n_settle": 5, "n_measure": 20},
+    "evolution": {"n_generations": 4, "afpo": {"population_size": 4}},
+    "transfer": {"n_generations": 2, "adapted_environments": ["dry_land"]},
+    "assess": {"n_designs": 8},
+    "work": {"throws_per_item": 2, "generations_per_item": 2, "engine": "reference"},
+}
+"""A study of real work items, as cheap as possible."""
+
+FULL = TINY | {
+    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [1.0], "n_trials": 1},
+    "ensemble": {"n_members": 1},
+}
+"""A study that also trains a network."""
+
+N_REPORT_FILES = 2
+"""Report files that are committed. A report has dozens, which are all alike to the store."""
+
+
+class QuietTerminal:
+    """A terminal and a tracker that say nothing: neither is under test."""
+
+    def say(self, line: str) -> None: ...
+
+    def stage(self, name: str, **counts: Any) -> QuietTerminal:
+        return self
+
+    def __enter__(self) -> QuietTerminal:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def advance(self, work: Work) -> None: ...
+
+    def mirror(self, *runs: Any) -> None: ...
+
+    def stop(self, study: Any, status: str) -> None: ...
+
+
+def run_study(
+    settings: Settings,
+    store: Store,
+    *,
+    stages: Sequence[AnyStage] = STAGES,
+    open_cluster: Callable[[], AbstractContextManager[Cluster]] = serial_cluster,
+) -> None:
+    """Drive the study in a store, as `puddle study --workers 0` does."""
+    drive(
+        settings,
+        stages,
+        stages=STAGES,
+        store=store,
+        open_cluster=open_cluster,
+        tracker=QuietTerminal(),
+        progress=QuietTerminal(),
+        how_to_run=lambda name: f"puddle {name}",
+    )
+
+
+class ClusterProxy:
+    """A cluster that forwards every call; subclasses replace :meth:`submit`."""
+
+    def __init__(self, inner: Cluster) -> None:
+        self._inner = inner
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+
+def submissions_of(root: Path) -> Path:
+    """Return the file in which :func:`logged` records submissions: beside the store."""
+    return root.with_suffix(".submitted")
+
+
+@contextlib.contextmanager
+def logged(cluster: AbstractContextManager[Cluster], root: Path) -> Iterator[Cluster]:
+    """Log each work item that a driver submits to a cluster: its key, and whether it was already committed."""
+    with cluster as inner, submissions_of(root).open("a") as log:
+
+        class Logged(ClusterProxy):
+            def submit(
+                self, function: Any, compute: Any, compute_batch: Any, jobs: Any, *rest: Any, **more: Any
+            ) -> Any:
+                for job in jobs:
+                    committed = any(root.glob(f"items/*/{job.key[:2]}/{job.key}/manifest.json"))
+                    print(job.key, "committed" if committed else "missing", file=log, flush=True)
+                return inner.submit(function, compute, compute_batch, jobs, *rest, **more)
+
+        yield Logged(inner)
+
+
+def tree(root: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file in a store except its locks, which are empty."""
+    return {
+        str(path.relative_to(root)): digest(path.read_bytes())
+        for path in sorted(root.rglob("*"))
+        if path.is_file() and path.suffix != ".lock"
+    }
+
+
+@dataclass
+class Record:
+    """The keys of the items that a driver computed and committed; it grows while the driver runs."""
+
+    computed: list[str] = field(default_factory=list)
+    committed: list[str] = field(default_factory=list)
+
+
+class QuickStudy:
+    """A study, and the results of its work items."""
+
+    def __init__(self, document: dict[str, Any]) -> None:
+        self._settings = parse(Settings, yaml.safe_dump(document), name="quick")
+        self._files: dict[str, Any] = {}
+        with tempfile.TemporaryDirectory() as folder:
+            self.drive(Path(folder) / "store")
+
+    def drive(self, root: Path, *, last: str | None = None, record: Record | None = None) -> Record:
+        """Drive the study in a store, up to the stage that is named ``last``."""
+        record = Record() if record is None else record
+
+        class RecordingStore(Store):
+            def commit(self, stage: str, key: str, *rest: Any, **more: Any) -> Any:
+                manifest = super().commit(stage, key, *rest, **more)
+                record.committed.append(key)
+                return manifest
+
+        n_stages = 1 + [stage.name for stage in STAGES].index(last or STAGES[-1].name)
+        run_study(
+            self._settings,
+            RecordingStore.open(root, create=True),
+            stages=STAGES[:n_stages],
+            open_cluster=lambda: self._cluster(record),
+        )
+        return record
+
+    @contextlib.contextmanager
+    def _cluster(self, record: Record) -> Iterator[Cluster]:
+        study = self
+
+        class LookedUp(ClusterProxy):
+            def submit(self, function: Any, *args: Any, **more: Any) -> Any:
+                return self._inner.submit(functools.partial(study._look_up, record, function), *args, **more)
+
+        with serial_cluster() as serial:
+            yield LookedUp(serial)
+
+    def _look_up(self, record: Record, compute: Any, stage: Any, stage_batch: Any, jobs: Any, *rest: Any) -> Any:
+        """Return what ``compute`` returns for some jobs: their files, and the seconds that they took."""
+        record.computed.extend(job.key for job in jobs)
+        if any(job.key not in self._files for job in jobs):
+            for job, files in zip(jobs, compute(stage, stage_batch, jobs, *rest)[0], strict=True):
+                names = sorted(files, key=lambda name: name != PAGE)[:N_REPORT_FILES] if PAGE in files else files
+                self._files[job.key] = {name: files[name] for name in names}
+        return [self._files[job.key] for job in jobs], 1.0
