@@ -62,16 +62,18 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
             f"simulation: measure the bar, or check tracks.length_unit and tracks.metres_per_metre"
         )
     typical = float(np.median(bars.mass))
-    if (k := first(np.abs(bars.mass / typical - 1) > _TOLERANCE)) is not None:
+    light, heavy = int(np.argmin(bars.mass)), int(np.argmax(bars.mass))
+    if bars.mass[heavy] * (1 - _TOLERANCE) > bars.mass[light] * (1 + _TOLERANCE):
         raise TrackedBarError(
-            f"throw {bars.throw[k]}: the bar's mass is {bars.mass[k]:g} kg and that of most bars {typical:g} kg: "
-            f"expected equal masses, because every link has the same: ballast the bars, or give masses in kg"
+            f"the bar of throw {bars.throw[light]} has a mass of {bars.mass[light]:g} kg and that of throw "
+            f"{bars.throw[heavy]} one of {bars.mass[heavy]:g} kg: expected equal masses, because every link has the "
+            f"same: ballast the bars, or give masses in kg"
         )
     if tracks.scaling == "froude":
         thickness = typical / (_BAR_DENSITY * length_scale_of(tracks) ** 2)
         if not _THICKNESS[0] < thickness < _THICKNESS[1]:
             raise TrackedBarError(
-                f"the mass of most bars is {typical:g} kg, and bars that float as links do would be "
+                f"the mass of a bar is {typical:g} kg (median), and bars that float as links do would be "
                 f"{1000 * thickness:.3g} mm thick: expected {1000 * _THICKNESS[0]:g} to {1000 * _THICKNESS[1]:g} mm: "
                 f"give masses in kg"
             )

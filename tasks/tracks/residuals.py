@@ -14,7 +14,7 @@ from tasks.tracks.conventions import Tracks
 from tasks.tracks.fluid_memory import Memory, memory
 from tasks.tracks.free_fall import Fall, check_falls
 from tasks.tracks.smoother import Measured, Smoothed, smooth
-from tasks.tracks.table import Paths, TrackError, TrackTable, paths_of
+from tasks.tracks.table import Paths, TrackError, TrackTable, length_scale_of, paths_of
 from tasks.tracks.tank_contacts import Contacts, contacts, n_contacts, slowest_contact
 from tasks.world import Physics
 
@@ -62,9 +62,16 @@ class _Estimate:
 def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> Paths:
     """Return the throws in the simulation's units, if networks can learn from them.
 
-    Raises TrackError if something is wrong with a throw or a bar, or with how bars fall.
+    Raises TrackError if something is wrong with a throw or a bar, or with how bars fall, or if no bar gets wet.
     """
-    return _estimate(table, bars, tracks, physics).paths
+    paths = _estimate(table, bars, tracks, physics).paths
+    lowest = float(paths.pose[..., 1].min())
+    if lowest > 0:
+        raise TrackError(
+            f"no bar's centre is ever below the waterline, y = 0 (lowest: {lowest * length_scale_of(tracks):.3g} m), so "
+            f"there is no water to learn from: check that y is 0 at the waterline"
+        )
+    return paths
 
 
 def residual_transitions(

@@ -14,7 +14,8 @@ MIN_FRAMES = 4  # of a throw: velocity and acceleration and one frame to judge t
 _MAX_SPEED = 60.0  # between two frames [m/s of simulation]; the paper's throws begin at up to 28
 _MAX_TURN = 0.75 * np.pi  # between two frames; half a turn might have been either way [rad]
 _AWAY = 10.0  # times the usual change of a path between frames, that a jump is at least
-_LEAST_AWAY = 0.01  # [m of simulation or rad]
+_LEAST_AWAY, _LEAST_TURN = (0.01, 0.05)  # [m of simulation], [rad]; less is no wrong frame
+SLOWEST_CONTACT = 0.5  # speed before and after a contact [m/s]: drag turns no bar at that speed within a frame
 _UNLIKE = 0.15  # share of the changes of velocity around it that a jump may leave unexplained
 _MIN_WAY, _MAX_WAY = 0.01, 500.0  # that throws cover [m of simulation]
 _LEAST_SHARE = 1 / 100  # of what most throws cover, that each does
@@ -224,7 +225,8 @@ def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
     """Refuse a frame in which a bar is elsewhere than its path leads, and returns in the next.
 
     A frame that is off by d changes the velocity by d / h before it, by - d / h - d / h' at it and by d / h' after it,
-    where h and h' are the intervals before and after. A bar that bounces changes its velocity once.
+    where h and h' are the intervals before and after. A bar that hits a floor or a wall may do the same, but it comes down
+    and leaves upward, or its horizontal velocity is reversed, which no fluid does at once.
     """
     if paths.pose.shape[1] < MIN_FRAMES + 1:
         return
@@ -232,9 +234,13 @@ def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), 1.0)
     before, after = 1 / interval[:, 1:-2], 1 / interval[:, 2:-1]  # of the frames 2 to n - 3
     template = np.stack([before, -before - after, after], axis=-1)[:, :, None]
-    for verb, axes, size, symbol in (
-        ("jumps", slice(2), unit, f" {tracks.length_unit}"),
-        ("turns", slice(2, 3), np.pi / 180, "°"),
+    motion = np.diff(paths.pose[..., :2], axis=1) / interval[..., None]
+    into, out = motion[:, :-3], motion[:, 3:]
+    reversed_ = (into * out < 0) & (np.abs(into) > SLOWEST_CONTACT)
+    bounces = reversed_[..., 0] | (reversed_[..., 1] & (into[..., 1] < 0))
+    for verb, axes, least, size, symbol in (
+        ("jumps", slice(2), _LEAST_AWAY, unit, f" {tracks.length_unit}"),
+        ("turns", slice(2, 3), _LEAST_TURN, np.pi / 180, "°"),
     ):
         velocity = np.diff(paths.pose[..., axes], axis=1) / interval[..., None]
         change = np.diff(velocity, axis=1)  # at the frames 1 to n - 2
@@ -244,7 +250,7 @@ def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
         unlike = np.square(around - off * template).sum(axis=(2, 3))
         distance = np.linalg.norm(off[..., 0], axis=-1)
         alike = unlike < _UNLIKE * np.square(around).sum(axis=(2, 3))
-        far = (distance > max(_AWAY * usual, _LEAST_AWAY)) & alike & paths.seen[:, 4:]
+        far = (distance > max(_AWAY * usual, least)) & alike & ~bounces & paths.seen[:, 4:]
         if far.any():
             k, window = np.argwhere(far)[0]
             raise TrackError(

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.arrays import Bools, Float64
-from tasks.tracks.table import Paths
+from tasks.tracks.table import SLOWEST_CONTACT, Paths
 
-_SLOWEST_CONTACT = 0.5  # speed before and after a contact [m/s]: drag turns no bar at that speed within a frame
 _SD_OF_CONTACT = 6.0  # of the difference of two positions, that both speeds exceed
 _FRAMES_AROUND = 2  # frames before and after a contact that are left out
 _AT_THE_EDGE = 0.1  # from where bars get farthest out or deepest, at which one may touch a wall or the floor [m]
@@ -74,14 +73,14 @@ def _reach(paths: Paths, long_axes: Float64) -> tuple[Float64, Float64]:
 
 def slowest_contact(frame_interval: float, position_sd: tuple[float, float]) -> float:
     """Return the speed below which a bar may touch a wall or the floor unnoticed [m/s]."""
-    return max(_SLOWEST_CONTACT, _SD_OF_CONTACT * float(np.sqrt(2)) * max(position_sd) / frame_interval)
+    return max(SLOWEST_CONTACT, _SD_OF_CONTACT * float(np.sqrt(2)) * max(position_sd) / frame_interval)
 
 
 def _velocity(paths: Paths, position: Float64, sd: float) -> tuple[Float64, Float64]:
     """Return the velocity in each interval between frames, and the least speed that counts as fast there [m/s]."""
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), np.inf)
     return np.diff(position, axis=1) / interval, np.maximum(
-        _SLOWEST_CONTACT, _SD_OF_CONTACT * np.sqrt(2) * sd / interval
+        SLOWEST_CONTACT, _SD_OF_CONTACT * np.sqrt(2) * sd / interval
     )
 
 

@@ -9,6 +9,7 @@ from tank import SCALE, filmed
 from tasks.residual import observe
 from tasks.simulation.free_links import FreeLinks
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable, residual_transitions
+from tasks.tracks.residuals import check_throws
 from tasks.world import Physics, Slush
 
 PLAIN = Tracks(file="tracks.csv", fit="steps")
@@ -85,6 +86,12 @@ def test_rows_at_contacts_are_left_out_and_counted() -> None:
     assert report.n_rows_at_contacts == pytest.approx(6 / 16 * 60, abs=2)
     assert len(found) == 4 * 60 - report.n_rows_at_contacts
     assert set(np.unique(found.throw[~np.isin(found.step, found.step[found.throw == 2])])) == {0, 1, 3}
+
+
+def test_bars_that_stay_dry_are_refused() -> None:
+    table, bars = filmed(4, seconds=0.5)
+    with pytest.raises(TrackError, match=r"no bar's centre is ever below the waterline.*lowest: 0\.01 m"):
+        check_throws(replace(table, y=table.y - table.y.min() + 0.01), bars, PLAIN, PHYSICS)
 
 
 def test_a_throw_without_a_bar_is_refused() -> None:

@@ -124,6 +124,20 @@ def test_what_is_refused(table: TrackTable, change, message: str) -> None:
         paths_of(change(table), PLAIN)
 
 
+def test_a_bar_may_turn_back_at_a_contact_and_by_less_than_a_video_shows() -> None:
+    """A precise track of a bar that falls, hits the floor at frame 20 and rises, turning by 20° and back there."""
+    time = np.arange(40) / 150
+    away = np.abs(time - time[20])
+    angle = 0.1 * time + np.radians(20) * (np.arange(40) == 20)
+    tracks = TrackTable(
+        np.repeat([0, 1], 40), np.tile(time, 2), np.tile(0.1 * time, 2), np.tile(away, 2), np.tile(angle, 2)
+    )
+    paths_of(tracks, PLAIN)
+    with pytest.raises(TrackError, match=r"throw 0, frame 20: the bar turns by 20\.?\d*° and back"):
+        paths_of(replace(tracks, y=np.tile(-time, 2)), PLAIN)
+    paths_of(replace(tracks, y=np.tile(-time, 2), angle=np.tile(0.1 * time + 0.02 * (np.arange(40) == 20), 2)), PLAIN)
+
+
 def test_degrees_are_told_from_radians(table: TrackTable) -> None:
     turns = turned(table, 0.02)  # 28° and more, by a degree a frame
     with pytest.raises(TrackError, match=r"nine in ten angles are at most \d\.\d+°.* check tracks\.angle_unit"):
