@@ -68,7 +68,7 @@ def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics
     lowest = float(paths.pose[..., 1].min())
     if lowest > 0:
         raise TrackError(
-            f"no bar's centre is ever below the waterline, y = 0 (lowest: {lowest * length_scale_of(tracks):.3g} m), so "
+            f"no bar's centre is ever below the waterline, y = 0 (lowest: {lowest * length_scale_of(tracks):.3g} m): "
             f"there is no water to learn from: check that y is 0 at the waterline"
         )
     return paths

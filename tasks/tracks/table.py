@@ -225,7 +225,7 @@ def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
     """Refuse a frame in which a bar is elsewhere than its path leads, and returns in the next.
 
     A frame that is off by d changes the velocity by d / h before it, by - d / h - d / h' at it and by d / h' after it,
-    where h and h' are the intervals before and after. A bar that hits a floor or a wall may do the same, but it comes down
+    where h and h' are the intervals before and after. A bar that hits a floor or a wall may do the same, but comes down
     and leaves upward, or its horizontal velocity is reversed, which no fluid does at once.
     """
     if paths.pose.shape[1] < MIN_FRAMES + 1:
