@@ -150,11 +150,6 @@ class TransferSettings(Parameters):
     """Environments whose champions' controllers are evolved again from scratch in True Slush, with frozen bodies."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each adaptation. [P]"""
-    mutation_rate: Literal["per_gene", "per_individual"] = later_choice("per_gene")
-    """Rate of mutation in an adaptation, where only 16 of a design's 37 genes vary: that of each gene is the same as in
-    the evolution of bodies, so that 1.3 genes change on average, or as many genes change as there, 3. The paper does
-    not say. Per gene, an adaptation is the same search with the genes of the body frozen, and all published results are
-    of that. Per individual, adapted robots travel 0.3 m less in docs/sensitivity.md, which is negligible."""
 
 
 class AssessSettings(Parameters):

@@ -36,7 +36,7 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.analysis.scores import QUANTITY_WORDS
-from tasks.design import Designs, as_many_genes
+from tasks.design import Designs
 from tasks.evolution import Deviation, disagreement
 
 SCORED = "scored"  # role of the inputs of later stages that are a trial's scores and champion
@@ -65,9 +65,6 @@ def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
         adapted = trial.environment in settings.transfer.adapted_environments
         adaptation = segments.segment_lengths(settings, settings.transfer.n_generations) if adapted else ()
         spec = segments.trial_spec(settings, trial, "true_slush")
-        if settings.transfer.mutation_rate == "per_individual":
-            mutation = as_many_genes(spec.afpo.mutation, ("control",), spec.morphology)
-            spec = replace(spec, afpo=spec.afpo.model_copy(update={"mutation": mutation}))
         chains.append(segments.trial_chain(settings, spec, (*adaptation, _SCORING_UNITS)))
     return chains
 

@@ -56,11 +56,7 @@ def variation_of(
 ) -> Variation:
     """Return the argument of the kernels that describes variation.
 
-    Args:
-        morphology: constraints on designs.
-        mutation: rates and step size.
-        parts: parts that mutation may change; ("control",) preserves bodies.
-        body: one design whose body all random designs get.
+    Mutation may change some parts; ("control",) preserves bodies. All random designs get the body of one, if given.
     """
     variation = _variation(morphology.n_actuated, mutation, parts)
     return variation if body is None else variation._replace(body=body.table)
@@ -78,18 +74,6 @@ def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart
         redraws=mutation.changed_genes == "redraw",
         rewiring=mutation.rewiring if "body" in parts else BODY_STAYS,
     )
-
-
-def as_many_genes(mutation: Mutation, parts: tuple[GenePart, ...], morphology: Morphology) -> Mutation:
-    """Return a mutation that changes as many genes of some parts as the given one changes of a whole design.
-
-    Args:
-        mutation: rates and step size; the mean number of changed genes is of the 37 of a whole design.
-        parts: parts that vary.
-        morphology: constraints on designs, which may count motors among the body.
-    """
-    share = len(_numbers(parts, morphology.n_actuated).column) / N_GENES
-    return mutation.model_copy(update={"genes_changed": min(mutation.genes_changed / share, N_GENES)})
 
 
 def _part_of(gene: Gene, n_actuated: int | None) -> GenePart:

@@ -53,11 +53,6 @@ def random_table(n_designs: int, rng: Generator, variation: Variation) -> Design
     """Return (n_designs, N_COLUMNS) designs, uniform within the genes' bounds.
 
     A motor is on with probability 1/2; if their number is given, all sets of joints are equally likely.
-
-    Args:
-        n_designs: number of designs.
-        rng: source of randomness.
-        variation: constraints, and the body if it is given.
     """
     table = np.zeros((n_designs, N_COLUMNS))
     for gene in range(len(genes.FIRST)):
@@ -96,13 +91,7 @@ def _switch_on_highest(flags: Float64, score: Float64, n: int) -> None:
 
 
 def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> None:
-    """Change at least one number of each design, and rewire some designs, in place.
-
-    Args:
-        table: (n_designs, N_COLUMNS) designs.
-        rng: source of randomness.
-        variation: numbers that may vary, and rates.
-    """
+    """Change at least one number of each design, and rewire some designs, in place."""
     numbers = variation.numbers
     n_designs, n_numbers, before = len(table), len(numbers.column), table.copy()
     changes = rng.random((n_designs, n_numbers)) < variation.change
@@ -189,14 +178,7 @@ def _rewire(table: DesignTable, rng: Generator, probability: float) -> None:
 
 
 def recombine_tables(child: DesignTable, other: DesignTable, rng: Generator, variation: Variation) -> None:
-    """Replace the genes of some links, at least one and not all, by those of other designs, in place.
-
-    Args:
-        child: (n_designs, N_COLUMNS) copies of one parent.
-        other: (n_designs, N_COLUMNS) other parent.
-        rng: source of randomness.
-        variation: constraints.
-    """
+    """Replace the genes of some links, at least one and not all, by those of other designs, in place."""
     n_designs = len(child)
     stays = np.empty((n_designs, N_LINKS + 1), dtype=np.bool_)  # genes of each link, and of the whole design
     of_links = rng.random((n_designs, N_LINKS))

@@ -20,11 +20,7 @@ from tasks.world import Physics, ResidualSlush
 
 
 def compile_kernels(physics: Physics) -> None:
-    """Compile the kernels that are not in the cache: evolve two robots for two generations in a network.
-
-    Args:
-        physics: constants of the base simulator, which decide on the kernels.
-    """
+    """Compile the kernels that are not in the cache: evolve two robots for two generations in a network."""
     network = Ensemble((np.zeros((1, len(OBSERVATION), N_OUT), np.float32),), (np.zeros((1, N_OUT), np.float32),))
     home = ResidualSlush(1.0, network)
     evolve(

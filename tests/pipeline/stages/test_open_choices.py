@@ -70,13 +70,6 @@ def specs(stage, settings: Settings) -> list[str]:
     return [json.dumps(to_json(chain.spec), sort_keys=True) for chain in stage.plan(settings)]
 
 
-def test_the_rate_of_mutation_in_adaptation_concerns_adaptation_alone(settings):
-    other = changed(settings, "transfer.mutation_rate=per_individual")
-    assert specs(EVOLVE, other) == specs(EVOLVE, settings)
-    rates = [{chain.spec.afpo.mutation.genes_changed for chain in TRANSFER.plan(of)} for of in (settings, other)]
-    assert rates == [{3.0}, {3.0 * 37 / 16}]  # 3 of the 16 genes of a controller
-
-
 def test_what_is_not_chosen_is_in_no_key(settings):
     usual = changed(settings, "ensemble.deviation=population")
     for stage in (EVOLVE, TRANSFER):
