@@ -2,8 +2,7 @@
 
 The robot does what it does in the simulation that the kit records, but its joints rise from rest as the servos' do.
 Beside the video come the printed board, the markers file and the tracks that are true, so that `puddle compare-run` can
-be tried without a robot, with a robot that swims slower than its simulation (--slower), and with tags at the waterline
-(--waterline-tags).
+be tried without a robot, or with a robot that swims slower than its simulation (--slower).
 """
 
 from __future__ import annotations
