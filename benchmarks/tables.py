@@ -18,8 +18,7 @@ import numpy as np
 from scipy.stats import ttest_ind
 
 from tasks.analysis import paper
-from tasks.analysis.comparison import nested_ratio
-from tasks.analysis.replicates import NestedSample, nested_sample
+from tasks.analysis.estimates import Sample, ratio, sample_of
 from tasks.world import ENVIRONMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -168,7 +167,7 @@ def _code(setting: str | None) -> str:
 
 def _share(study: Results, environment: str, score: str) -> str:
     """Write an arm's share of *E* zero-shot, with its 95 % interval."""
-    share = nested_ratio(
+    share = ratio(
         _sample(study, environment, score), _sample(study, "true_slush", "zero_shot"), rng=np.random.default_rng(0)
     )
     if share.low is None or share.high is None:
@@ -176,11 +175,11 @@ def _share(study: Results, environment: str, score: str) -> str:
     return f"{share.value:z.0%} ({100 * share.low:z.0f} to {100 * share.high:z.0f})"
 
 
-def _sample(study: Results, environment: str, score: str) -> NestedSample:
+def _sample(study: Results, environment: str, score: str) -> Sample:
     """Return the champions of an arm at 9 m; those that learned from the same data set belong together."""
     rows = [one for one in study["champions"] if (one["environment"], one["depth"]) == (environment, paper.DEPTH)]
     n = study["n_replicates"] if ENVIRONMENTS[environment].networks != "none" else 1
-    return nested_sample(np.array([row[score] for row in rows]), np.array([row["trial"] % n for row in rows]))
+    return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n for row in rows]))
 
 
 def _papers(environment: str) -> str:

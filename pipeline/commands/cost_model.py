@@ -65,12 +65,13 @@ class CostKind:
 
     stage: str
     specification: str  # type of the chain's specification
-    environment: str  # where most of its rollouts are; empty if it has none
+    of: str  # where most of its rollouts are, or the name of the analysis; may be empty
 
 
 def kind_of(stage: AnyStage, chain: Chain[Any]) -> CostKind:
     """Return a chain's kind."""
-    return CostKind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""))
+    of = getattr(chain.spec, "environment", "") or getattr(chain.spec, "analysis", "")
+    return CostKind(stage.name, type(chain.spec).__name__, of)
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,14 @@
 """What `puddle study` shows when it is done: the headline figures, where the page is, and what to do next."""
 
-from collections.abc import Callable, Iterator, Sequence
-
-import numpy as np
+from collections.abc import Callable, Iterator
 
 from pipeline.config.settings import Settings
-from pipeline.stages import segments
+from pipeline.report.render import as_text
 from pipeline.stages.report import PAGE
-from pipeline.stages.transfer import read_scores
-from pipeline.stages.trial_scores import TrialScores, finite_scores
+from pipeline.stages.transfer import read_trials
 from pipeline.store.store import Store
 from pipeline.workflow.stage import Upstream
-from tasks.analysis.scores import QUANTITY_WORDS
-from tasks.world import ENVIRONMENTS, EnvironmentName
+from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 
 
 def headline_lines(
@@ -26,8 +22,12 @@ def headline_lines(
         store: where they are.
         how_to_run: returns the command line that runs a command on this study.
     """
+    depth = max(settings.grid.depths)
+    rows = [row for row in transfer_rows(read_trials(settings, upstream["transfer"], store)) if row.depth == depth]
     yield ""
-    yield from _figures(settings, upstream, store)
+    yield f"Champions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]"
+    yield f"selected for: {settings.selected_for}"
+    yield from as_text(TransferRow, rows, TOO_WIDE)
     page = store.export_path(settings.name) / PAGE
     if page.is_file():
         yield f"Open: {page.as_uri()}"
@@ -40,39 +40,3 @@ def headline_lines(
     }
     width = max(map(len, commands))
     yield from (f"  {command:<{width}}  {what}" for command, what in commands.items())
-
-
-def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[str]:
-    depth = max(settings.grid.depths)
-    found = read_scores(settings, upstream["transfer"], store)
-    arms: dict[EnvironmentName, list[TrialScores | None]] = {}
-    for trial, scores in found.items():
-        if trial.depth == depth:
-            arms.setdefault(trial.environment, []).append(scores)
-    of_true_slush = arms.get("true_slush", [])
-    best = {
-        "share of True Slush": _mean(finite_scores(of_true_slush, "zero_shot")),
-        "share of it adapted": _mean(finite_scores(of_true_slush, "adapted")),
-    }
-    yield f"Champions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]"
-    yield f"selected for: {settings.selected_for}"
-    yield f"  {'evolved in':<28} {'predicted':>14} {'zero-shot':>14} {'adapted':>14}"
-    for environment, style in ENVIRONMENTS.items():
-        if environment not in arms:
-            continue
-        arm = arms[environment]
-        columns = {name: finite_scores(arm, name) for name in QUANTITY_WORDS}
-        cells = [segments.mean_and_deviation(values) for values in columns.values()]
-        yield f"  {style.label:<28} " + " ".join(f"{cell:>14}" for cell in cells)
-        sd, fitness = _mean(finite_scores(arm, "predicted_sd")), _mean(finite_scores(arm, "fitness"))
-        if sd is not None and fitness is not None:
-            yield f"  {'  σ over members, fitness':<28} {f'{sd:.2f}, {fitness:z.2f}':>14}"
-        for words, whole in best.items() if environment != "true_slush" else ():
-            if whole is not None and whole > 0:
-                parts = [_mean(columns[name]) for name in ("zero_shot", "adapted")]
-                percent = ["" if part is None else f"{part / whole:.0%}" for part in parts]
-                yield f"  {f'  {words}':<28} {'':>14} " + " ".join(f"{cell:>14}" for cell in percent)
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None

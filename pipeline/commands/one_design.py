@@ -11,16 +11,21 @@ from pipeline.config.settings import DEEPEST, Settings
 from pipeline.errors import PuddleError
 from pipeline.report.films import render_gif, render_mp4
 from pipeline.report.page import render_robot
-from pipeline.report.replay import replay_of
+from pipeline.report.replay import Overlay, replay_of
 from pipeline.stages import environments
-from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, median_member
+from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.data_sets import NetworkId
-from pipeline.stages.report_replays import looked_at, push_of, surroundings_in
+from pipeline.stages.environments import SimulationSpec
+from pipeline.stages.replays import looked_at, push_of, surroundings_in
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, InputName
-from pipeline.workflow.stage import Execution, Files, MissingInputs
+from pipeline.workflow.stage import Execution, Files, Inputs, MissingInputs
+from tasks.analysis.filmed import NO_MEMBER, median_member
+from tasks.arrays import Floats
+from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
+from tasks.residual import split_throws
 from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS
 
@@ -103,7 +108,6 @@ def simulate_design(
         member = median_member(rollouts.displacement[:, 0]) if ENVIRONMENTS[environment].is_ensemble else NO_MEMBER
         trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]
         network = NetworkId(environments.main_data_set_among(files), member) if files else None
-        held_out, seed = settings.training.held_out, settings.seed
         replay = replay_of(
             design,
             trace[0],
@@ -114,9 +118,7 @@ def simulate_design(
             surroundings=surroundings_in(environment),
             n_settle=settings.rollout.n_settle,
             time_step=settings.physics.time_step,
-            overlays=looked_at(simulation, design, trace, files, held_out=held_out, seed=seed)
-            if is_page and files
-            else (),
+            overlays=_overlays(settings, simulation, design, trace, files) if is_page and files else (),
             push=push_of(simulation, Arm(environment, depth), member, design, trace, files, network)
             if is_page
             else None,
@@ -130,6 +132,15 @@ def simulate_design(
             raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
         lines.append(f"  shown in {out}")
     return lines
+
+
+def _overlays(
+    settings: Settings, simulation: SimulationSpec, design: Designs, trace: Floats, files: Inputs
+) -> tuple[Overlay, ...]:
+    """Measure what the networks know along a rollout."""
+    transitions = read_transitions(throws_among(files))
+    learned, _ = split_throws(transitions.throw, settings.training.held_out, seed=settings.seed)
+    return looked_at(simulation, design, trace, files, transitions[learned])
 
 
 def _kind_of(out: Path) -> str:

@@ -13,11 +13,8 @@ from matplotlib.figure import Figure
 
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.source import DesignSource
+from pipeline.report.document import absent, document, inline_svg
 from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, NothingToDraw, finish
-from pipeline.report.moving import document
-from pipeline.report.page import inline_svg
-from pipeline.report.wording import absent
-from pipeline.text import escape
 from tasks.fabrication.checks import KitFinding
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.kit_settings import FabricationSettings
@@ -66,7 +63,7 @@ def render_kit(
         degrees=degrees,
     )
     css = files("pipeline.fabrication").joinpath("kit.css").read_text("utf-8")
-    return document(title=escape(title), policy=_POLICY, body=body, css=f"\n{css}")
+    return document(title=title, policy=_POLICY, body=body, css=f"\n{css}")
 
 
 def verdict(findings: Sequence[KitFinding]) -> str:
@@ -82,9 +79,9 @@ def verdict(findings: Sequence[KitFinding]) -> str:
 
 def _figure(drawing: Drawing | Missing) -> Markup:
     if isinstance(drawing, Missing):
-        return Markup(absent(drawing.title, drawing.reason))
+        return absent(drawing.title, drawing.reason)
     figure = Markup('<figure id="{}"><h3>{}</h3>{}<figcaption>{}</figcaption></figure>')
-    return figure.format(drawing.name, drawing.title, Markup(inline_svg(drawing)), drawing.description)
+    return figure.format(drawing.name, drawing.title, inline_svg(drawing), drawing.description)
 
 
 def _torque(bench: Bench) -> tuple[Figure, str]:

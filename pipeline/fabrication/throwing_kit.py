@@ -40,7 +40,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     place = THROWING_KIT.check_place(out)
     from pipeline.fabrication.exports import stl
     from pipeline.fabrication.kit_page import TEMPLATES
-    from pipeline.report.moving import document
+    from pipeline.report.document import document
     from pipeline.vision.markers_file import markers_of
     from pipeline.vision.tag_sheets import tag_sheets
     from tasks.fabrication.parts import mesh_of, plate_of

@@ -7,17 +7,16 @@ page replaces by its own in dark mode.
 
 import io
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib import style as mpl_style
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
-
-from tasks.analysis.uncertainty import Estimate
 
 INK = "#1d2129"
 FAINT = "#c9ced6"
@@ -55,7 +54,7 @@ _STYLE: dict[str, Any] = {
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
 }
-NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
+_NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,8 @@ class Drawing:
     title: str
     description: str  # the caption, which is also the text for readers who cannot see the figure
     svg: bytes
-    png: bytes  # the figure on white, three pixels per unit
+    png: bytes  # the figure on white, three pixels per unit, or 600 dots per inch for print
+    pdf: bytes = b""  # for print
 
 
 @dataclass(frozen=True)
@@ -79,35 +79,42 @@ class Missing:
 
 
 class NothingToDraw(Exception):  # noqa: N818 (a condition, not a failure)
-    """Raised by a figure that has no data; the message is the reason shown to the reader."""
+    """Raised by a figure that has no data; the message may give the reason."""
 
 
-def figure_style() -> AbstractContextManager[None]:
+def _figure_style() -> AbstractContextManager[None]:
     """Return the context in which figures are drawn and encoded; it overrides any style that the user has set."""
     return mpl_style.context(["default", _STYLE])
 
 
-def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Drawing | Missing:
+def finish(
+    name: str, title: str, draw: Callable[[], tuple[Figure, str]], *, for_print: bool = False
+) -> Drawing | Missing:
     """Return a figure, encoded as SVG and PNG, or the reason why there is none.
 
     Args:
         name: name of the figure, used for its files and its id on the page.
         title: heading.
         draw: returns the figure and its description, or raises NothingToDraw.
+        for_print: whether to encode it as PDF, too.
     """
-    with figure_style():
+    with _figure_style():
         try:
             figure, description = draw()
         except NothingToDraw as nothing:
             return Missing(name=name, title=title, reason=str(nothing))
-        fix_layout(figure)
-        svg, png = io.BytesIO(), io.BytesIO()
-        figure.savefig(svg, format="svg", metadata=NO_METADATA)
-        figure.savefig(png, format="png", dpi=216, facecolor="white", metadata={"Software": None})
-    return Drawing(name=name, title=title, description=description, svg=round_paths(svg.getvalue()), png=png.getvalue())
+        _fix_layout(figure)
+        svg, png, pdf = io.BytesIO(), io.BytesIO(), io.BytesIO()
+        figure.savefig(svg, format="svg", metadata=_NO_METADATA)
+        dpi = 600 if for_print else 216
+        figure.savefig(png, format="png", dpi=dpi, facecolor="white", metadata={"Software": None})
+        if for_print:
+            with mpl.rc_context({"pdf.fonttype": 42}):  # text that an editor of figures can change
+                figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
+    return Drawing(name, title, description, _round_paths(svg.getvalue()), png.getvalue(), pdf.getvalue())
 
 
-def fix_layout(figure: Figure) -> None:
+def _fix_layout(figure: Figure) -> None:
     """Lay out a figure once and for all; a figure with a layout engine is drawn twice for each of its formats."""
     engine = figure.get_layout_engine()
     assert engine is not None  # figures of a report are constrained
@@ -115,7 +122,7 @@ def fix_layout(figure: Figure) -> None:
     figure.set_layout_engine(None)
 
 
-def round_paths(svg: bytes) -> bytes:
+def _round_paths(svg: bytes) -> bytes:
     """Round the coordinates of paths to hundredths of a unit, so that a figure of many lines stays small."""
     return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path[0]), svg)
 
@@ -163,24 +170,3 @@ def show_at_least(axes: Any, span: float = 0.1) -> None:
 def sampled(n: int, n_shown: int) -> Any:
     """Return at most n_shown indices that are evenly spread over n."""
     return np.unique(np.linspace(0, n - 1, n_shown).round().astype(int))
-
-
-def count(things: Collection[Any], name: str) -> str:
-    """Return a number with its noun: "1 member", "8 members"."""
-    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
-
-
-def draw_interval(panel: Any, row: int, found: Estimate, color: str, marker: str = "o") -> None:
-    """Draw an estimate as a mark with a horizontal line for its interval.
-
-    Args:
-        panel: where to draw.
-        row: vertical position.
-        found: the estimate; nothing is drawn where it has no value.
-        color: of the line and the mark.
-        marker: shape of the mark.
-    """
-    if found.low is not None and found.high is not None:
-        panel.plot([found.low, found.high], [row, row], color=color, lw=2.2)
-    if found.value is not None:
-        panel.plot(found.value, row, marker, color=color, mec=INK, mew=0.7, ms=4.5)

@@ -1,208 +1,292 @@
 """The page of a study: one HTML file that loads nothing else, for desktop and phone, in light and dark mode.
 
-Fixed text is in page.html, the frame of any page in document.html, styles in page.css, and the replay viewer in
-viewer.js. This module adds what depends on the study, and escapes every text that comes from it.
+Text lives in page.html and viewer.html, which loop over the tables that tasks/analysis/tables registers and the figures
+below. Every value that comes from a study is escaped.
 """
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
-from string import Template
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
-from pipeline.report import data
-from pipeline.report.data import ALL_DIVERGED, Draws, StudyReport
-from pipeline.report.downloads import links
-from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
-from pipeline.report.ensembles_table import ensembles_table
-from pipeline.report.figures import applies, draw_all
-from pipeline.report.first_screen import first_screen
-from pipeline.report.moving import document, gallery, resource, script, viewer
-from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, robots_on, tank_tests
-from pipeline.report.replay import Replay
-from pipeline.report.transfer_table import transfer_table, variance_table
-from pipeline.report.wording import absent, folded, percent
-from pipeline.text import escape
+import yaml
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from pipeline.config.settings import Settings
+from pipeline.report import network_figures, transfer_figures
+from pipeline.report.document import TEMPLATES, document, inline_svg, resource
+from pipeline.report.drawing import Drawing, finish
+from pipeline.report.network_figures import Pilots, ThrowPaths
+from pipeline.report.render import as_csv, as_html, typeset
+from pipeline.report.replay import Replay, encode
+from pipeline.report.transfer_figures import Curves
+from tasks.analysis import paper
+from tasks.analysis.registry import Analysis, Assessed
+from tasks.analysis.tables import ANALYSES
+from tasks.analysis.tables.transfer import TransferRow, papers_mean, percent
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
-from tasks.world import ENVIRONMENTS, EnvironmentName
+from tasks.world import ENVIRONMENTS
 
-_STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
+_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
+_SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
+_MOST_ROWS_OF_CSV = 20_000
 
-_MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text is then as large as a heading
+
+@dataclass(frozen=True, eq=False)
+class StudyPage:
+    """A study, or as much of it as is done. Nothing is required: a study that has only begun has a page, too."""
+
+    settings: Settings
+    tables: Mapping[str, Sequence[Any]] = field(default_factory=dict)  # rows by name of the analysis
+    curves: Curves = field(default_factory=dict)
+    assessed: Mapping[str, Assessed] = field(default_factory=dict)  # by group of throws, the main one first
+    throws: ThrowPaths | None = None  # of the main data set
+    pilots: Pilots = field(default_factory=dict)
+    replays: Sequence[Replay] = ()
+    rejected: Mapping[str, float] = field(default_factory=dict)  # share of drawn designs, by operator
+    created_with: Mapping[str, str] = field(default_factory=dict)  # version by package
+    digests: Sequence[tuple[str, str, str]] = ()  # stage, label and SHA-256 of every chain that is done
+    failed: Sequence[str] = ()  # work items that failed, with their errors
+    not_possible: Sequence[str] = ()  # work items that were not tried because an input failed
+    diverged: Sequence[str] = ()  # trials with designs that diverged, and how many
+
+    def rows(self, name: str) -> Sequence[Any]:
+        """Return the rows of an analysis."""
+        return self.tables.get(name, ())
 
 
-def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] | None = None) -> str:
-    """Write the page of a study; its figures are drawn here if the caller has not done so."""
-    drawn = draw_all(report) if drawings is None else drawings
-    sections = _sections(report, {name: _figure(drawn, name) for name in drawn if not name.endswith("_wide")})
-    contents = [("about", "What this page shows"), *((name, title) for name, title, _ in sections)]
-    texts = {
-        "title": escape(report.title),
-        "name": escape(report.name),
-        "first_screen": first_screen(report),
-        "contents": "".join(f' <a href="#{name}">{escape(title)}</a>' for name, title in contents),
-        "failed": _missing(report),
-        "aim": _aim(report),
-        "environments": "\n".join(_environment(name) for name in report.environments if ENVIRONMENTS[name].about),
-        "sections": "\n".join(
-            f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{content}\n</section>'
-            for name, title, content in sections
-        ),
-        "script": script(report.replays),
+@dataclass(frozen=True)
+class PageFigure:
+    """A figure of the page."""
+
+    title: str
+    section: str
+    caption: str
+    draw: Callable[[StudyPage], Figure]
+    inline: bool = True  # on the page; otherwise it is a download
+
+
+FIGURES: Mapping[str, PageFigure] = {
+    "transfer_at_depth": PageFigure(
+        "Transfer at the greatest depth",
+        "transfer",
+        "Displacement in True Slush, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and "
+        "single trials as points. Short marks are the paper’s means.",
+        lambda page: transfer_figures.transfer_at_depth(page.rows("transfer"), page.rows("scores")),
+    ),
+    "transfer_across_depths": PageFigure(
+        "Transfer across depths",
+        "transfer",
+        "Displacement in True Slush by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
+        lambda page: transfer_figures.transfer_across_depths(page.rows("transfer")),
+    ),
+    "attribution": PageFigure(
+        "Transfer gap: body and controller",
+        "transfer",
+        "How far zero-shot champions fall short of those that evolved in True Slush (diamonds), and why: the "
+        "controller’s part (hatched) is recovered when it adapts, the body’s part (plain) remains.",
+        lambda page: transfer_figures.attribution(page.rows("attribution")),
+        inline=False,
+    ),
+    "fitness_curves": PageFigure(
+        "Fitness by generation",
+        "evolution",
+        "Best fitness so far in the environment where the robots evolve: means over trials, bands of ± 1 SD.",
+        lambda page: transfer_figures.fitness_curves(page.curves, OBJECTIVES[page.settings.evolution.objective].unit),
+    ),
+    "prediction_accuracy": PageFigure(
+        "Prediction accuracy",
+        "networks",
+        "Displacement in True Slush against the ensemble’s mean prediction, for designs of whole runs. Darker cells "
+        "hold more of them. A slope m below 1 means that the networks overestimate how far robots get; the dotted line "
+        "is for μ − σ.",
+        lambda page: network_figures.prediction_accuracy(page.assessed, page.rows("regressions"), members=False),
+    ),
+    "prediction_accuracy_members": PageFigure(
+        "Prediction accuracy of each member",
+        "networks",
+        "The same for each network of the main ensemble.",
+        lambda page: network_figures.prediction_accuracy(page.assessed, page.rows("regressions"), members=True),
+        inline=False,
+    ),
+    "data_set": PageFigure(
+        "The throws",
+        "networks",
+        "Paths of the thrown links, by size. The blue line is the surface. Of one throw, the link is drawn.",
+        lambda page: network_figures.data_set(page.throws),
+    ),
+    "coverage": PageFigure(
+        "What the throws cover",
+        "trust",
+        "States of robots before evolution that are farther from the nearest throw than robots’ states are from their "
+        "mean. There the networks extrapolate, and may agree and be wrong. A long bar names a hole in the data.",
+        lambda page: network_figures.coverage(page.pilots),
+    ),
+    "champion_coverage": PageFigure(
+        "Champions outside the throws",
+        "trust",
+        "How much of what champions do where they evolved lies outside the throws, and how far they fall short of "
+        "their prediction. The share is known without True Slush: it shows where to distrust a prediction.",
+        lambda page: network_figures.champion_coverage(page.rows("champion_coverage"), page.rows("scores")),
+    ),
+}
+
+
+def draw_all(page: StudyPage, *, for_print: bool = False) -> dict[str, Drawing]:
+    """Draw the figures for which a study has data, by name."""
+    several = len(page.settings.grid.depths) > 1
+    skipped = "transfer_at_depth" if several else "transfer_across_depths"
+    made = {
+        name: finish(name, one.title, partial(_drawn, one, page), for_print=for_print)
+        for name, one in FIGURES.items()
+        if name != skipped
     }
-    body = Template(resource("page.html")).substitute(texts)
-    return document(title=texts["title"], policy=_STUDY_POLICY, body=body)
+    return {name: drawing for name, drawing in made.items() if isinstance(drawing, Drawing)}
 
 
-def _environment(name: EnvironmentName) -> str:
-    """Say what an environment is."""
-    kind = ENVIRONMENTS[name]
-    swatch = f'<span class="swatch {name}"></span>'
-    term = f"<dt>{swatch}{escape(kind.label)}, <i>{escape(kind.symbol)}</i></dt>"
-    return f"<div>{term}\n<dd>{escape(kind.about)}</dd></div>"
+def _drawn(one: PageFigure, page: StudyPage) -> tuple[Figure, str]:
+    return one.draw(page), one.caption
 
 
-def _aim(report: StudyReport) -> str:
-    """Say what robots evolve for."""
-    measured = f"{report.measured_seconds:.0f}\nseconds"
-    if report.findings.objective == PAPERS_OBJECTIVE:
-        return f"to travel as far to the right as they can in {measured}"
-    words = f"{report.findings.selected_for} [{OBJECTIVES[report.findings.objective].unit}]"
-    return f"for this objective, measured over {measured}: {escape(words)}"
+def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
+    """Write the page of a study."""
+    settings = page.settings
+    objective = OBJECTIVES[settings.evolution.objective]
+    deepest = [row for row in page.rows("transfer") if row.zero_shot.value is not None]
+    depth = max((row.depth for row in deepest), default=None)
+    body = TEMPLATES.get_template("page.html").render(
+        page=page,
+        settings=settings,
+        scale=scale_words(settings),
+        depth=depth,
+        bars=_bars([row for row in deepest if row.depth == depth]),
+        arms=[ENVIRONMENTS[name] for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
+        objective=None if objective.name == PAPERS_OBJECTIVE else f"{settings.selected_for} [{objective.unit}]",
+        seconds=settings.rollout.n_measure * settings.physics.time_step,
+        heroes=heroes(page.replays),
+        tables=[(one, page.rows(name)) for name, one in ANALYSES.items() if page.rows(name)],
+        figures=[(one, drawings[name]) for name, one in FIGURES.items() if name in drawings],
+        settings_yaml=yaml.safe_dump(settings.model_dump(mode="json", exclude={"work"}), sort_keys=False),
+        shown=_shown,
+        html=partial(_html, _address(page.replays)),
+        svg=inline_svg,
+        percent=lambda share: typeset(percent(share)),
+        number=lambda value: typeset(f"{value:z.1f}"),
+        **viewer_values(page.replays, settings.name),
+    )
+    return document(title=f"Robots evolved for slush: {settings.name}", policy=_POLICY, body=body)
 
 
-def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str, str, str]]:
-    """Return the id, the title and the content of every section that applies to the study."""
-    reason = ALL_DIVERGED if data.all_diverged(report.trials) else None
-    found, robots = report.findings, robots_on(report)
+def _html(address: Callable[[Any], str], one: Analysis, rows: Sequence[Any], depth: float | None) -> Markup:
+    return as_html(one.row, rows, one.answers, address=address, without=("depth",) if depth is not None else ())
 
-    def grid(*names: str) -> str:
-        content = "".join(figures.get(name, "") for name in names)
-        return f'<div class="figures">{content}</div>' if content else ""
 
-    def alone(*parts: str) -> str:
-        content = "".join(parts)
-        return f'<div class="figures"><div class="alone">{content}</div></div>' if content else ""
+def tables_of(page: StudyPage) -> dict[str, bytes]:
+    """Return every table of readable size as CSV, by file name, with the meaning of all columns."""
+    files = {
+        f"{name}.csv": as_csv(ANALYSES[name].row, rows)
+        for name, rows in page.tables.items()
+        if 0 < len(rows) <= _MOST_ROWS_OF_CSV
+    }
+    return files
 
-    tests = contrasts(found) if applies(report, "contrasts") else ""
-    transfer = grid("transfer_at_depth", "transfer_across_depths", "attribution", "transfer_matrix")
-    tree = alone(figures.get("family_tree", ""), lineage(found))
-    networks = grid("aggregates", "data_set", "coverage", "residual_error", "member_error") + ensembles_table(found)
-    doubts = grid("champion_coverage", "phantom_thrust")
-    exploited = exploiters(found, robots) if applies(report, "exploiters") else ""
-    sections = [
-        ("evolved", "What evolved", gallery(report.replays, reason=reason)),
-        ("watch", "Watch them move", viewer(report.replays, study=report.name, reason=reason)),
-        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials, found) + variance_table(found)),
-        ("tank", "The robot to build", tank_tests(found, robots)),
-        ("paper", "Comparison with the paper", against_paper(found)),
-        ("tests", "t tests", tests),
-        ("evolution", "Evolution", figures.get("fitness_curves", "") + _draws(report.draws) + tree),
-        ("networks", "What the networks learned", figures.get("prediction_accuracy", "") + networks),
-        ("exploitation", "Model exploitation", doubts + exploited),
-        ("luck", "Luck and reach", retried(found, robots)),
-        ("made", "How this study was made", _made(report)),
+
+def _shown(one: Analysis, rows: Sequence[Any]) -> list[tuple[float | None, list[Any]]]:
+    """Group the rows that the page shows by depth, the greatest first; without depths they are one group."""
+    chosen = [row for row in rows if one.shown(row)]
+    groups: dict[float | None, list[Any]] = {}
+    by_depth = one.name != "exploiters"  # which is ranked over all depths
+    for row in chosen:
+        groups.setdefault(getattr(row, "depth", None) if by_depth else None, []).append(row)
+    return sorted(groups.items(), key=lambda group: -(group[0] or 0.0))
+
+
+def _address(replays: Sequence[Replay]) -> Callable[[Any], str]:
+    known = {replay.robot for replay in replays}
+
+    def address(row: Any) -> str:
+        if not hasattr(row, "trial"):
+            return ""
+        name = robot_address(row.environment, row.depth, row.trial)
+        return name if name in known else ""
+
+    return address
+
+
+def robot_address(environment: str, depth: float, trial: int) -> str:
+    """Return the address of a champion on the page, which is the name of its design file, too."""
+    return f"robot-{environment}-{depth:g}m-trial-{trial}".replace(".", "_")  # file names hold a single dot
+
+
+def scale_words(settings: Settings) -> str:
+    """Say how the study's scale of evolution compares with the paper's."""
+    evaluated = settings.evolution.n_generations * settings.evolution.afpo.population_size
+    share = paper.N_EVALUATED / evaluated
+    if share < 1.5:
+        return ""
+    return f"1/{share:.0f} of the paper’s evolution: compare shares, not metres"
+
+
+def _bars(rows: Sequence[TransferRow]) -> list[dict[str, Any]]:
+    """Place a bar for each environment, with a mark for the paper's mean [% of the width]."""
+    stated = {row.environment: papers_mean(row.environment, "zero_shot", row.depth) for row in rows}
+    means = {row.environment: row.zero_shot.value or 0.0 for row in rows}
+    values = [0.0, *means.values(), *(mean for mean in stated.values() if mean is not None)]
+    low, span = min(values), max(max(values) - min(values), 1e-9)
+
+    def at(value: float) -> float:
+        return 100 * (value - low) / span
+
+    return [
+        {
+            "kind": ENVIRONMENTS[row.environment],
+            "mean": means[row.environment],
+            "share": row.zero_shot_share,
+            "left": at(min(means[row.environment], 0.0)),
+            "width": abs(at(means[row.environment]) - at(0.0)),
+            "stated": stated[row.environment],
+            "mark": None if (mean := stated[row.environment]) is None else at(mean),
+        }
+        for row in rows
     ]
-    return [section for section in sections if section[2]]
+
+
+def heroes(replays: Sequence[Replay]) -> list[tuple[int, Replay]]:
+    """Return the two robots that stand for the study, with their numbers among the replays.
+
+    They are filmed in True Slush at the greatest depth: the best robot of the best arm that has never been there, and
+    that of dry land. A study without these arms is represented by its best robots.
+    """
+    filmed = [(i, one) for i, one in enumerate(replays) if one.best and one.in_true_slush]
+    deepest = max((one.depth for _, one in filmed), default=None)
+    ranked = sorted((pair for pair in filmed if pair[1].depth == deepest), key=lambda pair: -pair[1].arm_mean)
+    learned = [pair for pair in ranked if pair[1].environment not in ("true_slush", "dry_land")]
+    on_land = [pair for pair in ranked if pair[1].environment == "dry_land"]
+    return [*learned[:1], *on_land] or ranked[:2]
+
+
+def viewer_values(replays: Sequence[Replay], study: str) -> dict[str, Any]:
+    """Return what viewer.html needs: the robots in their groups, the colours, and the data for the scripts."""
+    groups: dict[str, list[tuple[int, Replay]]] = {}
+    for number, replay in enumerate(replays):
+        groups.setdefault(replay.group or f"Depth {replay.depth:g} m", []).append((number, replay))
+    opened = heroes(replays)[0][0] if heroes(replays) else 0
+    # "<" is written as an escape, so that no title can close the element.
+    data = json.dumps([encode(replay) for replay in replays], separators=(",", ":")).replace("<", "\\u003c")
+    return {
+        "study": study,
+        "replays": replays,
+        "groups": groups,
+        "opened": opened,
+        "overlays": list(dict.fromkeys(overlay.label for replay in replays for overlay in replay.overlays)),
+        "data": Markup(data),
+        "scripts": Markup("\n".join(resource(name) for name in _SCRIPTS)),
+    }
 
 
 def render_robot(replay: Replay, lines: Sequence[str]) -> str:
     """Write a page with one robot in the viewer, below some lines of text."""
-    text = "<br>".join(escape(line.strip()) for line in lines)
-    body = (
-        f'<main><header><p class="study">puddle · one design</p><h1>{escape(replay.title)}</h1><p>{text}</p></header>'
-        f"<section><h2>Watch it move</h2>{viewer([replay])}</section></main>{script([replay])}"
-    )
-    return document(title=escape(replay.title), policy=_STUDY_POLICY, body=body)
-
-
-def _missing(report: StudyReport) -> str:
-    """List the parts that the page lacks, with the reasons."""
-    failed = _listed("These work items failed.", report.failed)
-    failed += _listed("These need a failed work item and were not tried.", report.not_possible)
-    wild = _listed(
-        "They count as unfit, and the study goes on without them. With sound settings no design diverges: check the "
-        "settings of physics and slush, and the errors of the networks.",
-        report.diverged,
-    )
-    notices = (("The study is incomplete, and so is this page.", failed), ("Some designs diverged.", wild))
-    return "".join(f'<div class="notice"><b>{title}</b>{text}</div>' for title, text in notices if text)
-
-
-def _listed(sentence: str, names: Sequence[str]) -> str:
-    return f" {sentence}<ul>{''.join(f'<li>{escape(name)}</li>' for name in names)}</ul>" if names else ""
-
-
-def _draws(draws: Sequence[Draws]) -> str:
-    """State which share of the drawn designs was rejected; nothing where every design is buildable."""
-    if not draws:
-        return ""
-    shares = ", ".join(
-        f"{percent(total.n_rejected / total.n_drawn)} of {total.n_drawn:,} from {escape(total.operator)}"
-        for total in draws
-    )
-    return (
-        '<p class="small" id="draws">Links that are not joined must not overlap at rest. Designs in which they did '
-        f"were rejected and resampled: {shares}.</p>"
-    )
-
-
-def _figure(drawn: Mapping[str, Drawing | Missing], name: str) -> str:
-    """Show a figure; where it has a wide variant, the width of the page chooses between the two."""
-    drawing, wide = drawn[name], drawn.get(f"{name}_wide")
-    if isinstance(drawing, Missing):
-        return absent(drawing.title, drawing.reason)
-    content = inline_svg(drawing)
-    if isinstance(wide, Drawing):
-        content = f'<div class="narrow">{content}</div><div class="wide">{inline_svg(wide)}</div>'
-    caption = f"<figcaption>{escape(drawing.description)}</figcaption>{_files(drawing, wide)}"
-    return f'<figure id="{name}"><h3>{escape(drawing.title)}</h3>{content}{caption}</figure>'
-
-
-def _files(drawing: Drawing, wide: Drawing | Missing | None) -> str:
-    names = [drawing.name, wide.name] if isinstance(wide, Drawing) else [drawing.name]
-    return links(*(f"{name}.{kind}" for name in names for kind in ("svg", "png")))
-
-
-def inline_svg(drawing: Drawing) -> str:
-    """Make a figure part of the page: with ids of its own, and colours that follow the page's."""
-    svg = drawing.svg.decode("utf-8")
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", svg)
-    for attribute in ("width", "height"):  # the viewBox keeps the proportions, the page sets the size
-        svg = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", svg, count=1)
-    view_box = re.search(r'viewBox="0 0 ([\d.]+) ', svg)
-    assert view_box is not None  # Matplotlib always writes it
-    width = float(view_box[1])
-    svg = svg.replace("<svg", f'<svg style="max-width: {_MOST_PIXELS_PER_UNIT * width:.0f}px"', 1)
-    svg = re.sub(r'\bid="', f'id="{drawing.name}-', svg)
-    svg = re.sub(r'((?:xlink:)?href="#|url\(#)', rf"\g<1>{drawing.name}-", svg)
-    for hexadecimal, variable in _PAGE_COLORS.items():
-        svg = re.sub(hexadecimal, f"var({variable})", svg, flags=re.IGNORECASE)
-    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(drawing.description)}"', 1).strip()
-
-
-_PAGE_COLORS = {
-    INK: "--ink",
-    FAINT: "--faint",
-    PAPER_MARK: "--mark",
-    **{style.color: f"--{name.replace('_', '-')}" for name, style in ENVIRONMENTS.items()},
-    **{style.adapted_color: f"--{name.replace('_', '-')}-adapted" for name, style in ENVIRONMENTS.items()},
-}
-
-
-def _made(report: StudyReport) -> str:
-    digests = [(f"{stage} · {label}", sha256) for stage, label, sha256 in report.digests]
-    settings = f"<pre><code>{escape(report.settings_yaml)}</code></pre>" if report.settings_yaml else ""
-    return "".join(
-        folded(title, content)
-        for title, content in (
-            ("Software versions", _plain_table(report.created_with.items())),
-            ("Settings", settings),
-            (f"SHA-256 of {len(digests)} artifacts", _plain_table(digests)),
-        )
-        if content
-    )
-
-
-def _plain_table(rows: Iterable[tuple[str, str]]) -> str:
-    body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
-    return f'<div class="scroll"><table class="plain"><tbody>{body}</tbody></table></div>' if body else ""
+    body = TEMPLATES.get_template("robot.html").render(replay=replay, lines=lines, **viewer_values([replay], ""))
+    return document(title=replay.title, policy=_POLICY, body=body)

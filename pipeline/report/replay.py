@@ -54,7 +54,8 @@ class Replay:
     push: Float64 | None = None  # (n_frames, n_links, 2) acceleration by the medium [m/s²], where it is known
     robot: str = ""  # address of the robot on the page and name of its design file; "" if it has none
     group: str = ""  # heading of the viewer's list under which it is found, such as "Residual Slush, 9 m"
-    film: str = ""  # name of its film's files; "" if there is none
+    best: bool = False  # whether it is of the best champion of its arm
+    arm_mean: float = 0.0  # zero-shot displacement of its arm [m]: the mean over trials
 
     def __post_init__(self) -> None:
         shape = self.frames.shape[:2]
@@ -179,7 +180,6 @@ def encode(replay: Replay) -> dict[str, Any]:
     return {
         "title": replay.title,
         "robot": replay.robot,
-        "film": replay.film,
         "environment": replay.environment,
         "command": _SIMULATED_IN.get(replay.surroundings, replay.environment),
         "seenIn": replay.seen_in,

@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
+from pipeline.report.document import document, inline_svg
 from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, finish
-from pipeline.report.moving import document
-from pipeline.report.page import inline_svg
 from pipeline.text import escape
 from tasks.analysis.built_run import RunComparison
 from tasks.world import ENVIRONMENTS
@@ -48,7 +47,7 @@ def render_run(comparison: RunComparison, run: str) -> str:
 slush of the kit's settings. Predicted: the mean of the ensemble's members, two standard deviations to either side. The
 members' disagreement is a lower bound on the uncertainty.{note}</p>
 </main>"""
-    return document(title=f"Run of {escape(comparison.robot.name)}", policy="img-src data:", body=body)
+    return document(title=f"Run of {comparison.robot.name}", policy="img-src data:", body=body)
 
 
 def verdict(comparison: RunComparison) -> str:

@@ -159,8 +159,6 @@
     if (!files) return;
     files.hidden = !replay.robot;
     control("design").href = replay.robot + ".json";
-    control("film").hidden = !replay.film;
-    for (const link of control("film").querySelectorAll("a")) link.href = replay.film + link.dataset.suffix;
     control("address").href = "#" + replay.robot;
     for (const code of files.querySelectorAll("[data-command]")) {
       const words = { file: here + replay.robot + ".json", seen: replay.command, depth: replay.depth, store: store || "store" };

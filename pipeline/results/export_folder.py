@@ -5,9 +5,9 @@
     export.json                     what made the folder, the settings, the progress, and the SHA-256 of every file
     settings.yaml                   the study's settings, for `puddle study --settings`
     champions/ARM-trial-N.json      a design file for each champion; ARM-trial-N-adapted.json: with adapted controller
-    tables/NAME.parquet or .csv     pipeline/results/catalogue.py names them
-    tables/columns.csv              type and unit of every column
-    figures/NAME.svg, .png, .pdf    as wide as a column of a two-column paper, or at most as its page
+    tables/NAME.parquet or .csv     as study.tables names them
+    tables/columns.csv              type, unit and meaning of every column
+    figures/NAME.svg, .png, .pdf    five inches wide
     figures/captions.txt            what each figure shows
     transfer.tex                    the transfer results
     results.json                    means and deviations of every arm, champions, accuracy, times and digests
@@ -19,7 +19,6 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -31,18 +30,18 @@ import pyarrow.parquet as pq
 import yaml
 
 from pipeline.errors import PuddleError
-from pipeline.report.column_figures import draw_for_print
-from pipeline.report.drawing import Missing, count
-from pipeline.report.transfer_latex import transfer_latex
+from pipeline.report.page import draw_all
+from pipeline.report.render import as_latex
 from pipeline.results.recorded_study import Study
-from pipeline.results.results_file import results_of
-from pipeline.stages.report import REPORT, read_report
+from pipeline.results.results_json import results_of
+from pipeline.stages.report import REPORT, read_page
 from pipeline.stages.transfer import ADAPTED, CHAMPION
 from pipeline.store import disk
 from pipeline.store.encoding import Json
 from pipeline.store.owned_folder import FolderKind, NewFolder
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import trials_of
+from tasks.analysis.tables.transfer import TransferRow
 
 EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 
@@ -89,20 +88,28 @@ def export_study(
     manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
     with study.store.lock_to_read(), EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:
         folder.write("settings.yaml", yaml.safe_dump(settings, sort_keys=False).encode())
-        folder.write("results.json", json.dumps(results_of(study), indent=1, ensure_ascii=False).encode() + b"\n")
+        page = read_page(study.settings, study.upstream, study.store)
+        results = json.dumps(results_of(study, page), indent=1, ensure_ascii=False)
+        folder.write("results.json", results.encode() + b"\n")
+        rows = page.rows("transfer")
+        folder.write("transfer.tex", as_latex(TransferRow, rows, f"Transfer results of study {study.name}.").encode())
         n_champions = _write_champions(study, folder)
-        say(f"writing {count(chosen, 'table')}")
+        say(f"writing {len(chosen)} tables")
         n_rows = _write_tables(study, chosen, folder, kind)
         say("drawing figures")
-        drawn = _write_figures(study, folder)
-    lines = [*folder.preserved, *(f"No figure {figure.name}: {figure.reason}." for figure in drawn.missing)]
+        drawings = draw_all(page, for_print=True)
+        for drawing in drawings.values():
+            for suffix, content in (("svg", drawing.svg), ("png", drawing.png), ("pdf", drawing.pdf)):
+                folder.write(f"figures/{drawing.name}.{suffix}", content)
+        captions = "\n".join(f"{drawing.name}: {drawing.description}\n" for drawing in drawings.values())
+        folder.write("figures/captions.txt", captions.encode())
+    lines = [*folder.preserved]
     for name, one in study.progress.items():
         if name != REPORT.name and (one.missing or one.failed):  # the export draws its own figures
             lines.append(
                 f"{name}: {one.missing} work items are missing and {one.failed} failed; the export lacks them."
             )
-    listed = f"{count(chosen, 'table')} of {n_rows:,} rows"
-    counts = f"{n_champions} champions, {listed}, {len(drawn.captions)} figures, transfer.tex"
+    counts = f"{n_champions} champions, {len(chosen)} tables of {n_rows:,} rows, {len(drawings)} figures, transfer.tex"
     return [*lines, f"study {study.name}: {counts}: {place}"]
 
 
@@ -127,13 +134,15 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: 
     n_rows = 0
     sheet = io.StringIO()
     columns = csv.writer(sheet, lineterminator="\n")
-    columns.writerow(("table", "column", "type", "unit"))
+    columns.writerow(("table", "column", "type", "unit", "meaning"))
     write = _write_parquet if kind == "parquet" else _write_csv
     for name in tables:
         path = folder.place(f"tables/{name}.{kind}")
         schema, n_of_table = write(path, partial(study.parts, name))
         disk.fsync(path)
-        columns.writerows((name, one.name, one.type, one.metadata[b"unit"].decode()) for one in schema)
+        for one in schema:
+            unit, meaning = (one.metadata.get(word, b"").decode() for word in (b"unit", b"meaning"))
+            columns.writerow((name, one.name, one.type, unit, meaning))
         n_rows += n_of_table
     folder.write("tables/columns.csv", sheet.getvalue().encode())
     return n_rows
@@ -199,31 +208,3 @@ def _flat(part: pa.Table, widths: Mapping[str, int]) -> pa.Table:
             columns.append(pc.if_else(pc.is_nan(value), None, value) if floating else value)
             fields.append(pa.field(name, value.type, metadata=one.metadata))
     return pa.Table.from_arrays(columns, schema=pa.schema(fields))
-
-
-# -- figures ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class DrawnFigures:
-    """The figures of an export."""
-
-    captions: list[str] = field(default_factory=list)
-    missing: list[Missing] = field(default_factory=list)
-
-
-def _write_figures(study: Study, folder: NewFolder) -> DrawnFigures:
-    """Draw the figures, and write their captions and the table of transfer."""
-    report = read_report(study.settings, study.upstream, study.store)
-    drawn = DrawnFigures()
-    for figure in draw_for_print(report):
-        if isinstance(figure, Missing):
-            drawn.missing.append(figure)
-            continue
-        drawn.captions.append(f"{figure.name}: {figure.caption}\n")
-        for suffix, content in (("svg", figure.svg), ("png", figure.png), ("pdf", figure.pdf)):
-            folder.write(f"figures/{figure.name}.{suffix}", content)
-    folder.write("figures/captions.txt", "\n".join(drawn.captions).encode())
-    table = transfer_latex(study.name, report.trials, selected_for=study.settings.selected_for)
-    folder.write("transfer.tex", table.encode())
-    return drawn

@@ -14,24 +14,23 @@ import pyarrow.compute as pc
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.results import catalogue
-from pipeline.results.catalogue import CATALOGUE, KEYS
+from pipeline.results.study_tables import KEYS, SOURCES, available, keys_of, parts_of
 from pipeline.stages import STAGES, environments
-from pipeline.stages.data_sets import data_sets, replicate_of
-from pipeline.stages.transfer import CHAMPION, SCORE
-from pipeline.stages.trial_scores import decode_scores
+from pipeline.stages.data_sets import data_sets
+from pipeline.stages.transfer import CHAMPION, read_trials
+from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store, StudyRecord
-from pipeline.workflow.identity import TrialId, trials_of
+from pipeline.workflow.identity import trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.recorded import RecordedResults, recorded_results
 from pipeline.workflow.stage import Upstream
+from tasks.analysis.scores import ScoredTrial, Scores
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
 
 if TYPE_CHECKING:
-    from tasks.analysis.scores import Scores
     from tasks.world import EnsembleMedium
 
 CHAMPIONS = "champions"  # name of the table of champions
@@ -100,7 +99,7 @@ class Study:
     @property
     def tables(self) -> list[str]:
         """Names of the tables that the study has."""
-        return [*([CHAMPIONS] if self.upstream["transfer"].done else []), *catalogue.available(self.upstream)]
+        return [*([CHAMPIONS] if self.upstream["transfer"].done else []), *available(self.upstream)]
 
     def table(
         self, name: str, *, environment: str | None = None, depth: float | None = None, trial: int | None = None
@@ -140,7 +139,7 @@ class Study:
         if name == CHAMPIONS:
             yield self.champions()
         else:
-            yield from catalogue.parts_of(name, self.upstream[CATALOGUE[name].stage], self.store, only=only)
+            yield from parts_of(name, self.upstream[SOURCES[name].stage], self.store, only=only)
 
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.
@@ -150,41 +149,26 @@ class Study:
         predicted_sd (σ over members) [m] and fitness (μ - kσ, in the objective's unit). What does not exist is null.
         """
         rows = []
-        transferred = self.upstream["transfer"].done
         with self.store.lock_to_read():
             for trial in trials_of(self.settings, "transfer"):
-                if trial in transferred and CHAMPION in (scored := transferred[trial][-1]).files:
-                    scores = decode_scores(self.store.read(scored, SCORE), trial.label)
-                    design = self.store.read(scored, CHAMPION).decode()
+                if (parts := self.upstream["transfer"].done.get(trial)) and CHAMPION in parts[-1].files:
+                    scores = decode_scores(self.store.read(parts[-1], SCORE), trial.label)
+                    design = self.store.read(parts[-1], CHAMPION).decode()
                     values = scores.by_name() if scores else {}
-                    rows.append({**catalogue.keys_of(trial), **values, "design_json": design})
+                    rows.append({**keys_of(trial), **values, "design_json": design})
         of_fitness = {"unit": OBJECTIVES[self.settings.evolution.objective].unit}
         last = len(_CHAMPION_FIELDS) - 1
         schema = _CHAMPION_FIELDS.set(last, _CHAMPION_FIELDS.field("fitness").with_metadata(of_fitness))
         return pa.Table.from_pylist(rows, schema=schema)
 
     def scores(self) -> Scores:
-        """Return the displacements of all champions, each with the replicate that its trial depends on."""
-        import numpy as np
+        """Return the displacements of all trials, each with the replicate that it depends on."""
+        return Scores.of(self.trials())
 
-        from tasks.analysis.scores import Scores
-
-        rows = self.champions().to_pydict()
-        of_trials = zip(rows["environment"], rows["depth"], rows["trial"], strict=True)
-        trials = [TrialId("transfer", *trial, self.settings.replicates) for trial in of_trials]
-        predicted, zero_shot, adapted = (
-            np.array(rows[name], dtype=np.float64)
-            for name in ("predicted", "zero_shot", "adapted")  # null becomes NaN
-        )
-        return Scores(
-            np.array(rows["environment"], dtype=np.str_),
-            np.array(rows["depth"], dtype=np.float64),
-            np.array(rows["trial"], dtype=np.int64),
-            predicted,
-            zero_shot,
-            adapted,
-            np.array([replicate_of(trial) for trial in trials], dtype=np.int64),
-        )
+    def trials(self) -> list[ScoredTrial]:
+        """Return what is known of every trial's champion."""
+        with self.store.lock_to_read():
+            return read_trials(self.settings, self.upstream["transfer"], self.store)
 
     def champion(self, environment: str, *, depth: float, trial: int) -> Designs:
         """Return the champion of a trial, a design.
@@ -245,16 +229,16 @@ class Study:
         """Refuse values of keys that no trial of the study has."""
         trials = trials_of(self.settings, "evolve")
         for key, value in only.items():
-            known = list(dict.fromkeys(catalogue.keys_of(trial)[key] for trial in trials))
+            known = list(dict.fromkeys(keys_of(trial)[key] for trial in trials))
             if value not in known:
                 listed = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in known)
                 raise PuddleError(f"study {self.name}: {key}: expected one of {listed}, got {value!r}")
 
     def _why_no_table(self, name: str) -> str:
-        if name in CATALOGUE:
-            stage = CATALOGUE[name].stage
+        if name in SOURCES:
+            stage = SOURCES[name].stage
             return f"table {name}: study {self.name} has none: {stage} is not done, or its settings need none"
-        listed = ", ".join((CHAMPIONS, *CATALOGUE))
+        listed = ", ".join((CHAMPIONS, *SOURCES))
         return f"study {self.name}: expected a table, one of {listed}; got {name!r}"
 
 

@@ -19,7 +19,7 @@ from pipeline.store.store import Store
 from pipeline.store.tables import Columns
 from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
-from tasks.analysis.prediction import draw_over_generations, spread_evenly
+from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
 from tasks.seeding import generator

@@ -11,16 +11,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.config.settings import Settings
+from pipeline.report.render import as_text
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.segments import CHAMPION_OF, POPULATION, SegmentSpec, TrialSpec
-from pipeline.stages.trial_scores import TrialScores, decode_scores, encode_scores, finite_scores
+from pipeline.stages.trial_scores import SCORE, TrialScores, decode_scores, encode_scores, scored_trial
 from pipeline.store.design_file import design_document
 from pipeline.store.encoding import encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
-from pipeline.workflow.identity import OMIT_DEFAULT, Arm, ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -35,7 +36,8 @@ from pipeline.workflow.stage import (
     TrialSummary,
     Upstream,
 )
-from tasks.analysis.scores import QUANTITY_WORDS
+from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 from tasks.design import Designs
 from tasks.evolution import Deviation, disagreement
 
@@ -43,7 +45,7 @@ SCORED = "scored"  # role of the inputs of later stages that are a trial's score
 _ADAPTED_TO = InputName("adapted")  # the last segment of the adaptation
 _SCORING_UNITS = 2 / 64  # cost of scoring a champion before and after: two rollouts, of about 64 in a generation
 _ADAPTED_DIVERGED = "adapted_n_designs_diverged"  # MLflow metric: designs of an adaptation that diverged
-SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
+CHAMPION, ADAPTED = "champion.json", "adapted.json"
 
 
 @dataclass(frozen=True)
@@ -157,19 +159,16 @@ def scores_inputs(trials: Sequence[TrialId], upstream: Upstream) -> dict[InputNa
     }
 
 
-def read_scores(settings: Settings, results: Results, store: Store) -> dict[TrialId, TrialScores | None]:
-    """Return the scores of each complete trial, in the order of the trials; None where a trial has no champion.
+def read_trials(settings: Settings, results: Results, store: Store) -> list[ScoredTrial]:
+    """Return what is known of every trial's champion, in the order of the trials.
 
     Args:
         settings: the study's settings.
         results: what the store holds of this stage.
         store: where it is.
     """
-    return {
-        trial: _read_scores(store, trial, results.done[trial][-1])
-        for trial in trials_of(settings, "transfer")
-        if trial in results.done
-    }
+    files = {trial: {SCORE: store.read(parts[-1], SCORE)} for trial, parts in results.done.items()}
+    return [scored_trial(trial, files.get(trial)) for trial in trials_of(settings, "transfer")]
 
 
 def _read_scores(store: Store, trial: ChainId, scored: Manifest) -> TrialScores | None:
@@ -178,25 +177,16 @@ def _read_scores(store: Store, trial: ChainId, scored: Manifest) -> TrialScores 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Tabulate champions in True Slush by depth and environment."""
-    scores = read_scores(settings, results, store)
-    lines = [
-        "displacement [m], mean ± standard deviation of n trials",
-        f"{'depth':>7}  {'evolved in':<15} {'n':>3}  {'predicted':>14}  {'zero-shot':>14}  {'adapted':>14}",
-    ]
-    metrics = {}
-    for depth in settings.grid.depths:
-        for environment in dict.fromkeys(e for e, d, _ in settings.grid.trials() if d == depth):
-            arm = [champion for trial, champion in scores.items() if trial.arm == Arm(environment, depth)]
-            cells = []
-            for name in QUANTITY_WORDS:
-                values = finite_scores(arm, name)
-                cells.append(segments.mean_and_deviation(values))
-                if values:
-                    metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
-            lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
+    rows = transfer_rows(read_trials(settings, results, store))
+    metrics = {
+        f"{quantity}.{row.environment}.{row.depth:g}m": mean.value
+        for row in rows
+        for quantity, mean in (("predicted", row.predicted), ("zero_shot", row.zero_shot), ("adapted", row.adapted))
+        if mean.value is not None
+    }
     trials = [_summarise_trial(store, trial, done) for trial, done in results.done.items()]
     metrics["n_diverged"] = sum(trial.metrics.get(_ADAPTED_DIVERGED, 0.0) for trial in trials)
-    return Summary(lines=lines, metrics=metrics, trials=trials)
+    return Summary(lines=as_text(TransferRow, rows, TOO_WIDE), metrics=metrics, trials=trials)
 
 
 def _curves(store: Store, part: Manifest) -> CurvePoints:

@@ -1,12 +1,16 @@
 """The scores of a trial's champion, and the file in which the stage transfer writes them for later stages."""
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias, get_args
 
+from pipeline.stages.data_sets import replicate_of
 from pipeline.store.encoding import decode_json, encode_json
+from pipeline.workflow.identity import TrialId
+from pipeline.workflow.stage import Files
+from tasks.analysis.scores import ScoredTrial
 
+SCORE = "score.json"  # name of the file
 NO_CHAMPION = "no champion: every design of the trial diverged"  # status of a trial without survivors
 OK_STATUS = "ok"  # status of a trial with a champion
 
@@ -39,12 +43,6 @@ class TrialScores:
         return {name: self.finite(name) for name in SCORE_NAMES}
 
 
-def finite_scores(scores: Iterable[TrialScores | None], name: ScoreName) -> list[float]:
-    """Return one score of every champion that has it; see :meth:`TrialScores.finite`."""
-    found = [one.finite(name) for one in scores if one is not None]
-    return [value for value in found if value is not None]
-
-
 def encode_scores(scores: TrialScores | None) -> bytes:
     """Return the file of a trial's scores, where None stands for a trial without a champion.
 
@@ -64,3 +62,15 @@ def decode_scores(data: bytes, source: str) -> TrialScores | None:
         return None
     diverged = {name: math.nan for name, value in read.items() if value is None and name != "predicted_sd"}
     return TrialScores(**read | diverged)
+
+
+def scored_trial(trial: TrialId, files: Files | None) -> ScoredTrial:
+    """Return what is known of a trial's champion, from the files of the stage transfer; None if it is not done."""
+    identity = trial.environment, trial.depth, trial.index, replicate_of(trial)
+    if files is None:
+        return ScoredTrial(*identity)
+    scores = decode_scores(files[SCORE], trial.label)
+    if scores is None:
+        return ScoredTrial(*identity, status="no champion")
+    known: dict[str, Any] = {name: math.nan if value is None else value for name, value in scores.by_name().items()}
+    return replace(ScoredTrial(*identity, status="ok"), **known)

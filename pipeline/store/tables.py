@@ -27,9 +27,12 @@ def columns_of(kind: type[Row], rows: Sequence[Row]) -> Columns:
     for field, field_type in _typed_fields(kind):
         values = [getattr(row, field.name) for row in rows]
         if _is_nested(field_type):
-            columns |= {_column_name(field, name): column for name, column in columns_of(field_type, values).items()}
+            own = {_column_name(field, name): column for name, column in columns_of(field_type, values).items()}
         else:
-            columns[field.name] = _column(field_type, values)
+            own = {field.name: _column(field_type, values)}
+        if taken := own.keys() & columns.keys():
+            raise ValueError(f"{kind.__name__}.{field.name} has the columns {sorted(taken)} of an earlier field")
+        columns |= own
     return columns
 
 
@@ -46,6 +49,15 @@ def rows_of(kind: type[Row], columns: Mapping[str, npt.NDArray[Any]]) -> list[Ro
         else:
             made.append([_value(field_type, value) for value in columns[field.name].tolist()])
     return [kind(*row) for row in zip(*made, strict=True)]
+
+
+def described(kind: type) -> dict[str, Mapping[str, Any]]:
+    """Return what a dataclass says of its fields, by the name of the column; parts of a nested one share it."""
+    return {
+        _column_name(field, inner) if _is_nested(field_type) else field.name: field.metadata
+        for field, field_type in _typed_fields(kind)
+        for inner in (columns_of(field_type, ()) if _is_nested(field_type) else ("",))
+    }
 
 
 def _typed_fields(kind: type) -> Iterator[tuple[Field[Any], Any]]:

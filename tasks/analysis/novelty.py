@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tasks.arrays import Float64, Floats, Int64
+from tasks.arrays import Float64, Floats
 from tasks.residual import OBSERVATION, observe
 from tasks.world import LinkStates
 
@@ -39,17 +39,7 @@ class Thrown:
 
     tree: scipy.spatial.cKDTree  # points of the states in the scaled space
     scale: Float64  # (5,) deviation of each component
-    usual: float | None  # usual distance; None if the reason says why
-    reason: str | None
-
-
-@dataclass(frozen=True, eq=False)
-class Novelty:
-    """Distances of links from the throws, in the links' shape; NaN where a state is not finite."""
-
-    distance: Float64  # (...) distance to the nearest thrown state, in deviations of the throws
-    novelty: Float64  # (...) distance / usual distance; NaN where the latter is unknown (see Thrown.reason)
-    component: Int64  # (...) index into SPACE of the largest contribution; -1 where the state is not finite
+    usual: float  # usual distance; NaN where all states come from one throw, or throws repeat each other
 
 
 def _points(observation: Floats) -> Float64:
@@ -72,27 +62,19 @@ def thrown(observation: Floats, throw: npt.ArrayLike) -> Thrown:
     points = points / scale
     which = np.asarray(throw)
     fresh = np.isin(which, np.unique(which)[::_FRESH_EVERY])
-    usual, reason = None, None
-    if fresh.all():
-        reason = "all states come from one throw, so the distance of fresh throws is unknown"
-    else:
+    usual = np.nan
+    if not fresh.all():
         distance, _ = scipy.spatial.cKDTree(points[~fresh]).query(points[fresh])
-        usual = float(np.median(distance))
-        if usual == 0:
-            usual, reason = None, "throws repeat each other exactly, so the distance of fresh throws is unknown"
-    return Thrown(scipy.spatial.cKDTree(points), scale, usual, reason)
+        usual = float(np.median(distance)) or np.nan
+    return Thrown(scipy.spatial.cKDTree(points), scale, usual)
 
 
-def novelty(links: LinkStates, throws: Thrown) -> Novelty:
-    """Measure the distance of links of shape (...) from the throws, at about 10,000 states per second."""
+def novelty(links: LinkStates, throws: Thrown) -> Float64:
+    """Return the distance of links of shape (...) from the throws, in usual distances; NaN where it is unknown."""
     rows = observe(vars(links))
-    shape = rows.shape[:-1]
     points = _points(rows.reshape(-1, len(OBSERVATION))) / throws.scale
     known = np.isfinite(points).all(axis=1)
     distance = np.full(len(points), np.nan)
-    component = np.full(len(points), -1)
     if known.any():
-        distance[known], nearest = throws.tree.query(points[known])
-        component[known] = np.abs(points[known] - throws.tree.data[nearest]).argmax(axis=1)
-    usual = np.nan if throws.usual is None else throws.usual
-    return Novelty(distance.reshape(shape), (distance / usual).reshape(shape), component.reshape(shape))
+        distance[known], _ = throws.tree.query(points[known])
+    return (distance / throws.usual).reshape(rows.shape[:-1])

@@ -4,17 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from tasks.analysis.prediction import Figure, mean_less_deviations
-from tasks.analysis.scores import BEST, QUANTITY_WORDS, ScoredArm
-from tasks.world import ENVIRONMENTS
+from tasks.analysis.scores import BEST, ScoredArm
 
+Figure = Literal["r", "slope"]  # of a regression: Pearson's R, or the slope of true on predicted
 Claim = Literal["less", "greater", "no difference"]
 
 DEPTH = 9.0  # depth of the paper's prediction accuracy and of Fig. 4A [m]
+N_EVALUATED = 1_000 * 64  # designs evaluated in each trial: "Evolution"
 N_TRIALS = 10  # trials of each environment at each depth: "Evolution"
 N_ASSESSED = 2 * N_TRIALS  # trials that the designs of the prediction accuracy come from: "Prediction Accuracy"
 NEGLIGIBLE = 0.2  # share of the displacement of designs evolved in True Slush: smaller differences count as none
-NEGLIGIBLE_WORDS = f"± {100 * NEGLIGIBLE:g} %"
 NEGLIGIBLE_RATIO = 0.15  # the same of ratios of displacements
 NEGLIGIBLE_FIGURE: Mapping[Figure, float] = {"r": 0.15, "slope": 0.25}  # the same of figures of a regression
 SIGNIFICANT, INSIGNIFICANT = 1e-4, 0.01  # the paper's two thresholds: p below the first, p above the second
@@ -34,10 +33,10 @@ RATIOS: Mapping[ScoredArm, tuple[float, str]] = {
 """Mean displacement divided by that of designs that evolved in True Slush, at 9 m."""
 
 AGGREGATES: Mapping[tuple[str, Figure], tuple[float, str]] = {
-    (mean_less_deviations(0), "r"): (0.77, '"a correlation coefficient of 0.77", Fig. 3'),
-    (mean_less_deviations(0), "slope"): (1.26, '"and a slope of 1.26", Fig. 3'),
-    (mean_less_deviations(1), "r"): (0.60, '"a slightly reduced correlation coefficient of 0.6", Fig. 3'),
-    (mean_less_deviations(1), "slope"): (0.99, '"a nearly ideal regression slope of 0.99", Fig. 3'),
+    ("mean", "r"): (0.77, '"a correlation coefficient of 0.77", Fig. 3'),
+    ("mean", "slope"): (1.26, '"and a slope of 1.26", Fig. 3'),
+    ("mean - 1 sd", "r"): (0.60, '"a slightly reduced correlation coefficient of 0.6", Fig. 3'),
+    ("mean - 1 sd", "slope"): (0.99, '"a nearly ideal regression slope of 0.99", Fig. 3'),
 }
 """Figures of aggregates of the eight members."""
 
@@ -84,32 +83,3 @@ PHYSICAL: Mapping[str, tuple[str, str]] = {
     STAYS_ON_DRY_LAND: ("a few centimetres in 150 s, in 6 of 6 trials", "Fig. 5"),
 }
 """Results of the built robot."""
-
-
-def name_of(arm: ScoredArm) -> str:
-    """Return an arm's label; zero-shot designs of True Slush are at home there, so 'zero-shot' is left out."""
-    evolved_in, quantity = arm
-    label = ENVIRONMENTS[evolved_in].label
-    return label if arm == BEST else f"{label} {QUANTITY_WORDS[quantity]}"
-
-
-_T_TEST = "Student's t at "
-
-
-def t_test_words(depth: float, a: ScoredArm, b: ScoredArm) -> str:
-    """Name a t test as the comparison with the paper lists it.
-
-    Args:
-        depth: depth of the ground below the surface [m].
-        a: the arm that the paper names first.
-        b: the other arm.
-
-    Returns:
-        The name, which no other result of the comparison has.
-    """
-    return f"{_T_TEST}{depth:g} m: {name_of(a)} against {name_of(b)}"
-
-
-def is_t_test(what: str) -> bool:
-    """Return whether a result of the comparison with the paper is a t test, by its name."""
-    return what.startswith(_T_TEST)

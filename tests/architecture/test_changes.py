@@ -1,4 +1,4 @@
-"""The recipes of docs/extending.md for media, an objective and genes, performed in a copy of the sources, and run."""
+"""The recipes of docs/extending.md for media, an objective, an analysis and genes, performed in a copy and run."""
 
 import base64
 import json
@@ -34,16 +34,23 @@ work: {engine: reference}
 RUN = """
 import json, sys
 from pathlib import Path
+import puddle
 from small_study import run
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
+from pipeline.stages.analyse import ANALYSE
 from pipeline.store.store import Store
+from pipeline.workflow.record import DrivenStudy
 
 settings = parse(Settings, sys.stdin.read(), name="changed")
 store = Store.open(Path("store"), create=True)
 with serial_cluster() as cluster:
     upstream = run(settings, store, cluster)
+DrivenStudy(settings, store, print).update(upstream, finished=True)
+of_analyses = ANALYSE.summarise(settings, upstream["analyse"], store).artifacts
+tables = {name: puddle.open_study("changed", "store").table(name.removesuffix(".csv")) for name in of_analyses}
+Path("tables.json").write_text(json.dumps({name: [len(table), table.column_names] for name, table in tables.items()}))
 for stage, results in upstream.items():
     for chain, manifests in results.done.items():
         folder = Path("out", stage, chain.label)
@@ -54,7 +61,8 @@ for stage, results in upstream.items():
 print(json.dumps([f"{stage} {of.label}: {why}" for stage in upstream for of, why in upstream[stage].failed.items()]))
 """
 
-TAR, OBJECTIVE = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S)
+EXTENDING = (ROOT / "docs" / "extending.md").read_text()
+TAR, OBJECTIVE, ANALYSIS = re.findall(r"^```python\n(.*?)^```$", EXTENDING, flags=re.M | re.S)
 PULL, TIME_STEP = 3.0, 1 / 60
 
 LEARN_TAR = {
@@ -117,7 +125,7 @@ def run(copy: Path, settings: str) -> list[str]:
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """A copy of the sources, and of what Python has compiled them to."""
-    for package in ("tasks", "pipeline"):
+    for package in ("tasks", "pipeline", "puddle"):
         shutil.copytree(ROOT / package, tmp_path / package)
     return tmp_path
 
@@ -145,15 +153,16 @@ def test_a_medium_to_learn_and_to_transfer_to(copy):
     scores = json.loads((copy / "out/transfer/true_slush/1m/trial-0/score.json").read_text())
     assert scores["zero_shot"] == scores["predicted"]
     assert not any(push[:, 1].any() for (_, seen_in), push in pushes(copy).items() if seen_in == "True Slush")
-    errors = polars.read_parquet(copy / "out/analyse/members/member_errors.parquet")
+    errors = polars.read_parquet(copy / "out/analyse/member_errors/residual_slush/1m/member_errors.parquet")
     assert errors.filter(component="vy")["rms_true"].max() == 0
 
 
 @pytest.mark.timeout(600)
-def test_a_medium_to_evolve_in_an_objective_and_genes(copy):
-    """Three recipes in one study, none of which touches what the others do."""
+def test_a_medium_to_evolve_in_an_objective_an_analysis_and_genes(copy):
+    """Four recipes in one study, none of which touches what the others do."""
     (copy / "tasks/world/tar.py").write_text(TAR)
     (copy / "tasks/evolution/objectives/com_displacement.py").write_text(OBJECTIVE)
+    (copy / "tasks/analysis/tables/reach.py").write_text(ANALYSIS)
     change(copy, GENE)
     settings = STUDY.replace("depths: [1.0],", "depths: [1.0], environments: [true_slush, tar_pit],", 1)
     settings = settings.replace("afpo:", "objective: com_displacement, morphology: {n_actuated: 2}, afpo:")
@@ -167,6 +176,13 @@ def test_a_medium_to_evolve_in_an_objective_and_genes(copy):
         assert (com != root).any()
     page = (copy / "out" / "report" / "index.html" / "index.html").read_text()
     assert "displacement of the centre of mass [m]" in page and "Tar Pit" in page
+    n_rows, columns = json.loads((copy / "tables.json").read_text())["reach.csv"]  # read by its name
+    assert (n_rows, columns) == (2, ["environment", "depth", "trial", "longest"])
+    assert "How long are the champions’ links?" in page or "How long are the champions&#39; links?" in page
+    assert 'href="reach.csv"' in page and "longest link [m]" in page
+    assert (
+        (copy / "out" / "report" / "index.html" / "reach.csv").read_text().startswith("environment,depth,trial,longest")
+    )
     pulled = np.array([round(PULL * 127 / MOST_ACCELERATION), 0])
     seen = pushes(copy)["tar_pit", "Tar Pit"]
     assert (seen == pulled).all(axis=1).any() and ((seen == pulled) | (seen == 0)).all()

@@ -70,7 +70,7 @@ def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
     assert evolve.longest_chain_seconds == pytest.approx(1000)
     times = evolve.times(100, DriverLimits(seconds_per_item=0.1, bytes_per_second=1e6))
     assert times == pytest.approx({"cores": 3100, "longest chain": 1000, "driver": 1240, "network": 12_400})
-    alone = [one for one in remaining if one.kind.environment == "residual_slush"]
+    alone = [one for one in remaining if one.kind.of == "residual_slush"]
     (split,) = (stage for stage in forecast_stages(paper, alone, costs, {}, n_gpus=1) if stage.stage == "evolve")
     assert split.longest_chain_seconds == pytest.approx(1000 / 16)
 
@@ -219,10 +219,10 @@ def test_forecast_as_json(study, settings, tmp_path, capsys):
 
 def test_kinds_tell_apart_what_costs_differ(settings):
     plans = {stage.name: {kind_of(stage, chain) for chain in stage.plan(settings)} for stage in STAGES}
-    assert {kind.environment for kind in plans["evolve"]} == set(settings.grid.environments) | {"single_member"}
-    assert {kind.environment for kind in plans["transfer"]} == {"true_slush"}
+    assert {kind.of for kind in plans["evolve"]} == set(settings.grid.environments) | {"single_member"}
+    assert {kind.of for kind in plans["transfer"]} == {"true_slush"}
     assert len(plans["collect"]) == len(plans["train"]) == len(plans["assess"]) == 1
-    assert len(plans["report"]) == 2  # the page, and films
+    assert len(plans["report"]) == 2  # the page, and the film
 
 
 def test_a_store_at_home_is_found(study, settings, tmp_path, monkeypatch, capsys):

@@ -1,9 +1,11 @@
+"""Figures: what they show, that partial studies draw what they can, and that their bytes are always the same."""
+
 from __future__ import annotations
 
 import io
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
-from functools import partial
 
 import matplotlib as mpl
 import numpy as np
@@ -12,18 +14,14 @@ from matplotlib import style as mpl_style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
-from pipeline.report.accuracy_figure import prediction_accuracy
-from pipeline.report.data import TrialResult
-from pipeline.report.drawing import _STYLE, PAPER_MARK, Drawing, Missing, finish
-from pipeline.report.figures import FIGURES, draw_all
-from pipeline.report.findings import Findings
-from tasks.analysis.uncertainty import Estimate
+from pipeline.report.drawing import _STYLE, FIGURE_WIDTH, PAPER_MARK, Drawing
+from pipeline.report.network_figures import prediction_accuracy
+from pipeline.report.page import FIGURES, StudyPage, draw_all
+from tasks.analysis.estimates import Estimate
+from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.tables.regressions import accuracy
+from tasks.analysis.tables.transfer import score_rows, transfer_rows
 from tasks.world import ENVIRONMENTS
-
-
-def draw(name: str, study) -> Drawing | Missing:
-    title, figure = FIGURES[name]
-    return finish(name, title, partial(figure, study))
 
 
 def texts(drawing: Drawing) -> list[str]:
@@ -31,10 +29,21 @@ def texts(drawing: Drawing) -> list[str]:
     return ["".join(node.itertext()) for node in nodes]
 
 
+def draw(name: str, study: StudyPage, monkeypatch) -> Drawing:
+    """Draw one figure."""
+    monkeypatch.setattr("pipeline.report.page.FIGURES", {name: FIGURES[name]})
+    return draw_all(study)[name]
+
+
+def with_trials(study: StudyPage, trials: list[ScoredTrial]) -> StudyPage:
+    depths = sorted({trial.depth for trial in trials})
+    settings = study.settings.model_copy(update={"grid": study.settings.grid.model_copy(update={"depths": depths})})
+    return replace(study, settings=settings, tables={"scores": score_rows(trials), "transfer": transfer_rows(trials)})
+
+
 def test_every_figure_is_drawn_twice(drawn):
-    assert list(drawn) == list(FIGURES)
+    assert set(drawn) == set(FIGURES) - {"transfer_at_depth"}  # which is for studies of one depth
     for drawing in drawn.values():
-        assert isinstance(drawing, Drawing)
         assert ElementTree.fromstring(drawing.svg).tag == "{http://www.w3.org/2000/svg}svg"
         assert Image.open(io.BytesIO(drawing.png)).format == "PNG"
         assert drawing.description.endswith(".")
@@ -47,158 +56,104 @@ def test_the_same_bytes_each_time_whatever_style_is_set(study, drawn):
     assert not any(b"<dc:date>" in drawing.svg for drawing in drawn.values())
 
 
-def test_the_arms_have_their_colours_and_names(study):
-    others = [replace(study.trials[0], environment=name) for name in ENVIRONMENTS]
-    drawing = draw("transfer_at_depth", replace(study, trials=[*study.trials, *others]))
-    svg = drawing.svg.decode()
+def test_figures_for_print_are_fine_and_their_text_is_text(study, monkeypatch):
+    monkeypatch.setattr("pipeline.report.page.FIGURES", {"fitness_curves": FIGURES["fitness_curves"]})
+    figure, again = (draw_all(study, for_print=True)["fitness_curves"] for _ in range(2))
+    assert figure == again
+    image = Image.open(io.BytesIO(figure.png))
+    assert image.width == pytest.approx(600 * FIGURE_WIDTH, abs=1)
+    box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", figure.pdf)
+    assert float(box[1]) == pytest.approx(72 * FIGURE_WIDTH)
+    assert b"/Subtype /Type0" in figure.pdf  # an embedded TrueType font, not outlines
+
+
+def test_the_arms_have_their_colours_and_names_and_the_paper_is_at_nine_metres(study, monkeypatch):
+    def arms(depth):
+        return with_trials(
+            study, [ScoredTrial(name, depth, 0, 0, zero_shot=2.0, adapted=3.0, status="ok") for name in ENVIRONMENTS]
+        )
+
+    deep = draw("transfer_at_depth", arms(9.0), monkeypatch)
     for style in ENVIRONMENTS.values():
-        assert style.color in svg
-        assert set(style.label.split()) <= set(texts(drawing))
-    assert ENVIRONMENTS["residual_slush"].adapted_color in svg
-
-
-def test_the_paper_is_shown_at_nine_metres_only(study, drawn):
-    assert PAPER_MARK in drawn["transfer_at_depth"].svg.decode()
-    shallow = draw("transfer_at_depth", replace(study, trials=[t for t in study.trials if t.depth == 1.0]))
-    assert PAPER_MARK not in shallow.svg.decode()
-    assert "depth 1 m" in texts(shallow)
+        assert style.color in deep.svg.decode() and set(style.label.split()) <= set(texts(deep))
+    assert ENVIRONMENTS["residual_slush"].adapted_color in deep.svg.decode()
+    shallow = draw("transfer_at_depth", arms(1.0), monkeypatch)
+    assert PAPER_MARK in deep.svg.decode() and PAPER_MARK not in shallow.svg.decode()
 
 
 def test_a_panel_for_each_depth(drawn):
-    for name in ("fitness_curves", "fitness_curves_wide"):
-        assert {"depth 1 m", "depth 9 m"} <= set(texts(drawn[name]))
+    assert {"depth 1 m", "depth 9 m"} <= set(texts(drawn["fitness_curves"]))
 
 
-def test_only_velocities_in_the_residuals_error(drawn):
-    labels = texts(drawn["residual_error"])
-    assert {"vx [m/s]", "vy [m/s]", "omega [rad/s]", "< 0.5", "0.5–2"} <= set(labels)
-    assert "x [m]" not in labels
-
-
-def test_many_sizes_of_links_are_grouped(study):
-    many = replace(study.findings.throws, length_scale=np.linspace(1.0, 3.0, 9))
-    drawing = draw("data_set", replace(study, findings=replace(study.findings, throws=many)))
+def test_many_sizes_of_links_are_grouped(study, monkeypatch):
+    many = replace(study.throws, length_scale=np.linspace(1.0, 3.0, 9))
+    drawing = draw("data_set", replace(study, throws=many), monkeypatch)
     assert {"1.0 to 1.7 m long, 3 throws", "2.3 to 3.0 m long, 3 throws"} <= set(texts(drawing))
 
 
-def test_coverage_has_a_bar_for_each_component(drawn):
+def test_coverage_has_a_bar_for_each_component_and_champions_are_points(drawn):
     labels = texts(drawn["coverage"])
     assert {"length", "height", "angle", "spin", "the paper’s throws", "throws designed for robots"} <= set(labels)
     assert any("robots evolved in the ensemble: 21 %" in label for label in labels)
+    champions = texts(drawn["champion_coverage"])
+    assert {"Residual Slush", "share of a champion’s states outside the throws [%]"} <= set(champions)
 
 
-def test_champions_are_points_by_coverage_and_excess(drawn):
-    labels = texts(drawn["champion_coverage"])
-    assert {"Residual Slush", "share of a champion’s states outside the throws [%]"} <= set(labels)
+def test_intervals_of_two_replicates_do_not_hide_the_bars(study, monkeypatch):
+    row = study.rows("attribution")[0]
+    parts = {"lost_to_body": Estimate(2.0), "lost_to_controller": Estimate(1.0)}
+    wide = replace(row, gap=Estimate(3.0, -30.0, 36.0), **parts)
+    cut = draw("attribution", replace(study, tables={"attribution": [wide]}), monkeypatch)
+    assert {"−5", "0", "5"} <= set(texts(cut)) and not {"20", "−20"} & set(texts(cut))  # twice the gap, ± 6 m
 
 
-def test_intervals_of_two_replicates_do_not_hide_the_bars(study, drawn, replicated):
-    gap, parts = Estimate(3.0, -30.0, 36.0), {"lost_to_body": Estimate(2.0), "lost_to_controller": Estimate(1.0)}
-    row = replace(replicated.attributions[0], gap=gap, **parts)
-    cut = draw("attribution", replace(study, findings=replace(replicated, attributions=[row])))
-    assert {"−4", "0", "4"} <= set(texts(cut)) and not {"20", "−20"} & set(texts(cut))  # twice the gap, ± 6 m
-    assert "go on beyond" in cut.description and "go on beyond" not in drawn["attribution"].description
-
-
-def test_an_empty_study_says_why_for_each(study):
-    empty = draw_all(replace(study, trials=[], residual_errors=[], findings=Findings()))
-    assert {name: missing.reason for name, missing in empty.items() if isinstance(missing, Missing)} == {
-        "attribution": "no champion’s controller has been adapted yet",
-        "transfer_matrix": "no champion has been tested at another depth than its own yet",
-        "data_set": "no link has been thrown yet, or the study needs no throws",
-        "coverage": "no robots have been compared with the throws yet",
-        "prediction_accuracy": "no design has been simulated under every member yet",
-        "prediction_accuracy_wide": "no design has been simulated under every member yet",
-        "aggregates": "no design has been simulated under every member yet",
-        "member_error": "no member has been compared with True Slush yet",
-        "champion_coverage": "no champion that evolved with networks has been compared with the throws yet",
-        "phantom_thrust": "no member has been tested at low speed yet",
-        "family_tree": "no champion’s ancestors have been traced yet",
-        "transfer_at_depth": "no trial has finished yet",
-        "transfer_across_depths": "no trial has finished yet",
-        "fitness_curves": "no trial has finished a generation yet",
-        "fitness_curves_wide": "no trial has finished a generation yet",
-        "residual_error": "no member of the ensemble has been validated yet, or the study needs no networks",
-    }
+def test_a_study_that_has_only_begun_draws_nothing(study):
+    assert draw_all(StudyPage(study.settings)) == {}
 
 
 @pytest.mark.parametrize(
     "trials",
     [
-        [TrialResult("residual_slush", 9.0, 0, 1.0, 1.0, curve=np.array([1.0]))],
-        [TrialResult("residual_slush", 9.0, 0, -np.inf, np.nan, curve=np.full(5, -np.inf))],
-        [TrialResult("dry_land", 0.0, n, 2.0, 2.0, 2.0, 2.0, 2.0, curve=np.full(5, 2.0)) for n in range(3)],
-        [
-            TrialResult("dry_land", 3.0, 0, 5.0, curve=np.arange(9.0)),
-            TrialResult("dry_land", 3.0, 1, 5.0, curve=np.r_[-np.inf, np.arange(3.0)]),
-            TrialResult("true_slush", 4.0, 0, 5.0, curve=np.empty(0)),
-        ],
+        [ScoredTrial("residual_slush", 9.0, 0, 0, zero_shot=1.0, status="ok")],
+        [ScoredTrial("residual_slush", 9.0, 0, 0, predicted=-np.inf, zero_shot=np.nan, status="diverged")],
+        [ScoredTrial("dry_land", 0.0, n, 0, zero_shot=2.0, adapted=2.0, status="ok") for n in range(3)],
+        [ScoredTrial("dry_land", 3.0, 0, 0, predicted=5.0), ScoredTrial("true_slush", 4.0, 0, 0)],
     ],
-    ids=["one trial, one generation", "all diverged", "constant fitness", "half done, nothing scored"],
+    ids=["one trial", "diverged", "no spread", "nothing scored"],
 )
 @pytest.mark.filterwarnings("error")
 def test_partial_studies_draw_what_they_can_without_a_warning(study, trials):
-    drawn = draw_all(replace(study, trials=trials, residual_errors=[], findings=Findings()))
-    assert len(drawn) == len(FIGURES)
-    assert isinstance(drawn["residual_error"], Missing)
+    curves = {("dry_land", 3.0): [np.arange(9.0), np.r_[-np.inf, np.arange(3.0)], np.empty(0), np.full(5, -np.inf)]}
+    begun = StudyPage(study.settings, curves=curves)
+    assert "fitness_curves" in draw_all(replace(with_trials(begun, trials), curves=curves))
 
 
-def test_a_shorter_trial_cuts_the_mean_curve(study):
+def test_a_shorter_trial_cuts_the_mean_curve(study, monkeypatch):
     """A mean must be over the same trials throughout: with 9 and 4 generations it ends after generation 3."""
-    trials = [TrialResult("dry_land", 3.0, n, 5.0, curve=np.arange(float(length))) for n, length in ((0, 9), (1, 4))]
-    drawing = draw("fitness_curves", replace(study, trials=trials))
-    ticks = [text for text in texts(drawing) if text.isdigit()]
+    curves = {("dry_land", 3.0): [np.arange(9.0), np.arange(4.0)]}
+    ticks = texts(draw("fitness_curves", replace(study, curves=curves), monkeypatch))
     assert "3" in ticks and "8" not in ticks
 
 
 def test_r_and_slope_are_above_each_histogram(drawn, study):
-    """For every member, and for μ and μ − σ above the ensemble's."""
-    fits = {fit.name: fit for fit in study.findings.accuracy.regressions}
-    for name in ("prediction_accuracy", "prediction_accuracy_wide"):
-        shown = texts(drawn[name])
-        for member in range(4):
-            fit = fits[f"member {member}"]
-            assert f"R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
-        for symbol, fit in (("μ", fits["mean"]), ("μ − σ", fits["mean - 1 sd"])):
-            assert f"{symbol}: R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
-        assert "ensemble, designed throws" in shown
-
-
-def test_every_aggregate_is_drawn(drawn, study):
-    shown = texts(drawn["aggregates"])
-    assert {"member 0", "μ", "μ − σ", "μ − 2 σ", "min", "median"} <= set(shown)
-    assert len([text for text in shown if text.startswith("μ − ")]) == 7  # k of 0.25, 0.5, 0.75, 1, 1.5, 2 and 3
-
-
-def test_cells_of_the_matrix_hold_the_means(drawn):
-    assert {"30.0", "12.0", "18.0", "9.0"} <= set(texts(drawn["transfer_matrix"]))
-
-
-def test_a_reason_of_the_analysis_replaces_the_figure(study):
-    why = "a single member has no other to disagree with"
-    missing = draw("phantom_thrust", replace(study, findings=Findings(missing={"phantom_thrust": why})))
-    assert isinstance(missing, Missing) and missing.reason == why
-
-
-def test_the_papers_values_have_a_colour_of_their_own(drawn):
-    assert PAPER_MARK in drawn["aggregates"].svg.decode()
+    """For every member, and for μ and μ − σ above each ensemble's."""
+    fits = {fit.name: fit for fit in study.rows("regressions") if fit.learned_from == "throws"}
+    of_members, shown = texts(drawn["prediction_accuracy_members"]), texts(drawn["prediction_accuracy"])
+    for member in range(4):
+        fit = fits[f"member {member}"]
+        assert f"R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in of_members
+    for symbol, fit in (("μ", fits["mean"]), ("μ − σ", fits["mean - 1 sd"])):
+        assert f"{symbol}: R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
+    assert {"Residual Slush", "Designed throws"} <= set(shown)
 
 
 @pytest.mark.parametrize("n_members", [2, 4, 8])
-@pytest.mark.parametrize("n_columns", [2, 5])
-def test_labels_of_the_accuracy_figure_stay_clear_of_tick_labels(study, n_members, n_columns):
-    accuracy = study.findings.accuracy
-    last = accuracy.histograms
-    names = (*(f"member {k}" for k in range(n_members)), "mean", "mean, designed_throws")
-    shown = replace(
-        last,
-        names=names,
-        counts=np.resize(last.counts, (len(names), *last.counts.shape[1:])),
-        n_outside=np.zeros(len(names), int),
-    )
-    found = replace(study.findings, accuracy=replace(accuracy, histograms=shown))
+def test_labels_of_the_accuracy_figure_stay_clear_of_tick_labels(study, n_members):
+    one = study.assessed["throws"]
+    several = replace(one, predicted=np.resize(one.predicted, (n_members, one.predicted.shape[1])))
+    fits = accuracy(several, "throws", "sample", np.random.default_rng(0)).regressions
     with mpl_style.context(["default", _STYLE]):
-        figure, _ = prediction_accuracy(replace(study, findings=found), n_columns=n_columns)
+        figure = prediction_accuracy({"throws": several}, fits, members=True)
         FigureCanvasAgg(figure).draw()
         labels = [figure._supxlabel, figure._supylabel]
         labels += [axes.xaxis.label for axes in figure.axes] + [axes.yaxis.label for axes in figure.axes]

@@ -14,10 +14,10 @@ from small_study import run
 import puddle
 from pipeline.cluster import serial_cluster
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.results.recorded_study import CHAMPIONS, StageProgress, open_study
+from pipeline.results.study_tables import KEYS, SOURCES
 from pipeline.stages import STAGES
-from pipeline.stages.report import read_report
+from pipeline.stages.report import read_page
 from pipeline.store.design_file import design_document
 from pipeline.store.store import FailedChain, Store
 from tasks.evolution import OPERATORS
@@ -68,18 +68,18 @@ def test_what_is_on_record_is_read_although_something_before_it_was_lost(recorde
     assert found.progress["transfer"] == StageProgress(done=10, failed=0, missing=0)
     assert found.champions() == opened.champions()
     assert len(found.table("histories")) == len(opened.table("histories")) - POPULATION * N_GENERATIONS
-    report = read_report(found.settings, found.upstream, store)
-    assert [len(trial.curve) for trial in report.trials] == [0] + 7 * [N_GENERATIONS]
+    curves = read_page(found.settings, found.upstream, store).curves
+    assert [len(curve) for of_arm in curves.values() for curve in of_arm] == 7 * [N_GENERATIONS]
     with pytest.raises(PuddleError, match="member-00 is not"):
         found.ensemble()
 
 
 def test_every_table_has_the_keys_and_is_read(opened):
-    assert set(opened.tables) == {CHAMPIONS, *CATALOGUE} - {"tank"}
+    assert set(opened.tables) == {CHAMPIONS, *SOURCES} - {"tank"}
     for name in opened.tables:
         table = opened.table(name)
         assert table.column_names[:3] == list(KEYS) and table.schema.types[:3] == list(KEYS.values()), name
-        assert all(field.metadata.keys() == {b"unit"} for field in table.schema), name
+        assert all(b"unit" in field.metadata for field in table.schema), name
         assert len(pl.from_arrow(table)) == len(table.to_pandas()) == len(table) > 0, name
 
 
@@ -100,7 +100,7 @@ def test_filters_select_what_polars_would(opened):
     assert pl.from_arrow(chosen).equals(expected) and len(expected) == POPULATION * N_GENERATIONS
     drawn = pl.from_arrow(opened.table("predictions"))
     assert pl.from_arrow(opened.table("predictions", trial=0)).equals(drawn.filter(pl.col("trial") == 0))
-    assert set(opened.table("exploiters", environment="dry_land")["environment"].to_pylist()) == {"dry_land"}
+    assert set(opened.table("scores", environment="dry_land")["environment"].to_pylist()) == {"dry_land"}
 
 
 def test_tables_of_members_name_them(opened):

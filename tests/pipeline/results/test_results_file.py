@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from pipeline.results.recorded_study import open_study
-from pipeline.results.results_file import results_of
+from pipeline.results.results_json import results_of
 from pipeline.stages import STAGES
+from pipeline.stages.report import read_page
 
 
 @pytest.fixture(scope="module")
 def results(recorded):
-    return json.loads(json.dumps(results_of(open_study("tiny", recorded))))
+    study = open_study("tiny", recorded)
+    page = read_page(study.settings, study.upstream, study.store)
+    return json.loads(json.dumps(results_of(study, page)))
 
 
 def test_an_arm_has_the_mean_and_deviation_of_its_champions(results):
@@ -42,23 +45,11 @@ def test_every_champion_has_digests_of_its_own(results):
         assert len(set(found)) == len(found) > 1 and all(len(digest) == 16 for digest in found)
 
 
-def test_champions_of_networks_are_grouped_by_what_the_throws_cover(results, recorded):
-    covered = open_study("tiny", recorded).table("champion_coverage").to_pandas()
-    whole = covered[covered.component == "all"]
-    assert sum(row["n"] for row in results["coverage"]) == len(whole) > 0
-    for row in results["coverage"]:
-        low, high = row["share_outside"]
-        assert row["n"] == ((whole.share_outside >= low) & (whole.share_outside < (high if high < 1 else 2))).sum()
-
-
-def test_the_papers_results_are_counted_by_verdict(results, recorded):
+def test_the_comparison_with_the_paper_is_the_table(results, recorded):
     rows = open_study("tiny", recorded).table("paper").to_pandas()
-    is_test = rows.what.str.startswith("Student")
-    for name, chosen in (("t_tests", rows[is_test]), ("other", rows[~is_test])):
-        counts = results["verdicts"][name]
-        assert sum(counts.values()) == len(chosen) > 0
-        assert counts["not comparable"] == (chosen.verdict == "not comparable").sum()
-    assert [row["what"] for row in results["comparison"]] == list(rows.what)
+    assert [(row["what"], row["verdict"]) for row in results["comparison"]] == list(
+        zip(rows.what, rows.verdict, strict=True)
+    )
 
 
 def test_an_ensembles_prediction_has_its_deviation_and_its_fitness(results):

@@ -1,7 +1,5 @@
 """Several data sets in one study: throws for robots beside the paper's, and independent replicates of both."""
 
-import re
-
 import numpy as np
 import pytest
 from small_study import labelled, run
@@ -9,19 +7,18 @@ from small_study import labelled, run
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import GridSettings, Settings
-from pipeline.results import catalogue
+from pipeline.results import study_tables
 from pipeline.stages import STAGES
-from pipeline.stages.analyse import ANALYSE
-from pipeline.stages.analyses.analysis_tables import read_table
+from pipeline.stages.analyse import read_columns
 from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.collect import COLLECT, TRANSITIONS
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
 from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.train import TRAIN
-from pipeline.stages.transfer import SCORE
-from pipeline.store.encoding import decode_json, decode_table
+from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
 from pipeline.workflow.identity import TrialId, trials_of
+from tasks.analysis.tables import ANALYSES
 
 SETTINGS = """
 name: sets
@@ -104,38 +101,15 @@ def test_data_sets_and_networks_all_differ(sets):
     assert len(first["designed_throws/throws-0"]["step"]) == 6 * 29  # as many steps as the design chooses
 
 
-def test_champions_repeat_their_predictions_in_their_own_networks(sets):
-    """What the analysis computes anew, with networks selected by trial, equals what evolution found."""
-    store, upstream = sets
-    scored = labelled(upstream["transfer"].done)
-    for environment in ("residual_slush", "designed_throws", "single_member", "designed_single_member"):
-        label = f"instruments/{environment}/1m"
-        (done,) = labelled(upstream["analyse"].done)[label]
-        files = {name: store.read(done, name) for name in done.files}
-        expected = [
-            decode_json(store.read(scored[f"{environment}/1m/trial-{k}"][-1], SCORE), "score")["predicted"]
-            for k in range(3)
-        ]
-        assert read_table(files, "champions")["home_displacement"].tolist() == pytest.approx(expected, abs=1e-6)
-
-
 def test_champions_are_compared_with_the_throws_that_their_own_networks_learned_from(sets):
     store, upstream = sets
     for environment in ("residual_slush", "designed_throws", "single_member", "designed_single_member"):
-        (done,) = labelled(upstream["analyse"].done)[f"instruments/{environment}/1m"]
-        table = read_table({name: store.read(done, name) for name in done.files}, "champion_coverage")
+        table = analysed(store, upstream, "champion_coverage", f"/{environment}/1m")
         assert table["trial"].tolist() == [k for k in range(3) for _ in range(7)]
         whole = table["component"] == "all"
         of_components = table["share_outside"][~whole].reshape(3, 6).sum(axis=1)
         assert table["share_outside"][whole] == pytest.approx(of_components)
         assert (table["n"] > 0).all()
-
-
-def test_champions_that_evolved_without_networks_have_no_coverage(sets):
-    store, upstream = sets
-    (done,) = labelled(upstream["analyse"].done)["instruments/true_slush/1m"]
-    table = read_table({name: store.read(done, name) for name in done.files}, "champion_coverage")
-    assert len(table["trial"]) == 0
 
 
 def test_every_ensemble_is_a_model_that_its_own_trials_read(sets):
@@ -158,10 +132,9 @@ def test_only_the_arms_that_adapt_are_adapted(sets):
 
 def test_both_ensembles_are_assessed_on_the_same_designs(sets):
     store, upstream = sets
-    regressions = _statistics(store, upstream, "regressions")
+    regressions = analysed(store, upstream, "regressions")
     assert set(regressions["learned_from"]) == {"throws", "designed_throws"}
     assert set(regressions["n_replicates"]) == {2}
-    assert _statistics(store, upstream, "histograms")["name"].tolist()[-1] == "mean, designed_throws"
     shares = labelled(upstream["assess"].done)
     for k in range(3):
         one, other = (
@@ -182,56 +155,50 @@ def test_a_single_ensemble_is_named_after_its_throws(tmp_path):
     store = Store.open(tmp_path / "store", create=True)
     with serial_cluster() as cluster:
         upstream = run(settings, store, cluster, STAGES[:-1])
-    assert set(_statistics(store, upstream, "regressions")["learned_from"]) == {"designed_throws"}
+    assert set(analysed(store, upstream, "regressions")["learned_from"]) == {"designed_throws"}
 
 
 def test_the_arms_are_contrasted_and_attributed(sets):
     store, upstream = sets
-    contrasts = _statistics(store, upstream, "contrasts")
+    contrasts = analysed(store, upstream, "contrasts")
     pairs = set(zip(contrasts["a"].tolist(), contrasts["b"].tolist(), strict=True))
     assert ("designed_throws/zero_shot", "residual_slush/zero_shot") in pairs
-    assert "designed_throws" in _statistics(store, upstream, "attribution")["evolved_in"]
+    assert "designed_throws" in analysed(store, upstream, "attribution")["environment"]
 
 
 def test_the_variance_is_split_where_trials_depend_on_replicates(sets):
     """Trials 0 and 2 of the three are of the first replicate; those of True Slush depend on none."""
     store, upstream = sets
-    scores, split = (_statistics(store, upstream, name) for name in ("scores", "variance"))
+    scores, split = (analysed(store, upstream, name) for name in ("scores", "variance"))
     learned = scores["environment"] != "true_slush"
     assert (scores["replicate"] == np.where(learned, scores["trial"] % 2, 0)).all()
     rows = {
         (arm, quantity): at
-        for at, (arm, quantity) in enumerate(zip(split["evolved_in"], split["quantity"], strict=True))
+        for at, (arm, quantity) in enumerate(zip(split["environment"], split["quantity"], strict=True))
     }
     for arm, n_replicates in (("true_slush", 1), ("residual_slush", 2), ("designed_single_member", 2)):
         at = rows[arm, "zero_shot"]
         assert (split["n"][at], split["n_replicates"][at]) == (3, n_replicates)
-        assert np.isfinite(split["between"][at]) == np.isfinite(split["share_between_low"][at]) == (n_replicates == 2)
+        assert (
+            np.isfinite(split["sd_between"][at]) == np.isfinite(split["share_between_low"][at]) == (n_replicates == 2)
+        )
     values = scores["zero_shot"][scores["environment"] == "residual_slush"]
     within = (values[0] - values[2]) ** 2 / 2
     between = (values[[0, 2]].mean() - values[1]) ** 2 * 2 / 3
     at = rows["residual_slush", "zero_shot"]
     pooled = between <= within
-    assert split["within"][at] == pytest.approx(values.var(ddof=1) if pooled else within)
-    assert split["between"][at] == pytest.approx(0 if pooled else (between - within) / (4 / 3))
-
-
-def test_the_terminal_has_a_line_on_the_split(sets):
-    store, upstream = sets
-    text = " ".join(" ".join(ANALYSE.summarise(settings_with(), upstream["analyse"], store).lines).split())
-    assert "SD of zero-shot at 1 m between replicates (throws and training, which change together) and within:" in text
-    for label in ("Residual Slush", "Single member", "Designed throws"):
-        assert re.search(rf"{label} \d+\.\d and \d+\.\d m", text)
+    assert split["sd_within"][at] ** 2 == pytest.approx(values.var(ddof=1) if pooled else within)
+    assert split["sd_between"][at] ** 2 == pytest.approx(0 if pooled else (between - within) / (4 / 3))
 
 
 def test_tables_name_the_data_set(sets):
     store, upstream = sets
-    tables = catalogue.parts_of("learning_curves", upstream["train"], store, only={})
+    tables = study_tables.parts_of("learning_curves", upstream["train"], store, only={})
     assert {name for table in tables for name in table["data_set"].to_pylist()} == {
         of.words for of in data_sets(settings_with())
     }
 
 
-def _statistics(store, upstream, table):
-    (done,) = labelled(upstream["analyse"].done)["statistics"]
-    return read_table({name: store.read(done, name) for name in done.files}, table)
+def analysed(store, upstream, table, of=""):
+    (done,) = labelled(upstream["analyse"].done)[table + of]
+    return read_columns({f"{table}.parquet": store.read(done, f"{table}.parquet")}, ANALYSES[table])

@@ -14,10 +14,8 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import environments
-from pipeline.stages.analyse import ANALYSE
-from pipeline.stages.analyses.analysis_tables import read_table
 from pipeline.stages.evolve import EVOLVE
-from pipeline.stages.segments import CURVE, HISTORY, POPULATION, champion_of, population_of
+from pipeline.stages.segments import CURVE, HISTORY, POPULATION, population_of
 from pipeline.stages.transfer import SCORE, TRANSFER
 from pipeline.store.encoding import decode_json, decode_table
 from pipeline.store.store import Store
@@ -74,8 +72,8 @@ def test_tables_and_the_page_name_it_and_state_its_unit(fast, settings, tmp_path
         assert json.loads(pq.read_schema(path).metadata[b"puddle"])["units"][column] == "m/s"
     (done,) = labelled(upstream["report"].done)["index.html"]
     page = store.read(done, "index.html").decode()
-    assert "speed in the second half [m/s]" in page and "Fitness [m/s]" in page
-    assert "μ − kσ of the speed in the second half [m/s], the fitness" in page and "to travel as far" not in page
+    assert "speed in the second half [m/s]" in page
+    assert "to travel as far" not in page
     assert "best fitness [m/s]" in store.read(done, "fitness_curves.svg").decode()
 
 
@@ -86,22 +84,13 @@ def test_champions_are_compared_by_displacement(fast):
         assert scores["fitness"] != scores["predicted"]
         if label.startswith("true_slush"):
             assert scores["zero_shot"] == scores["predicted"]
-    for label, (done,) in labelled(upstream["analyse"].done).items():
-        if label.startswith("instruments/true_slush"):
-            (claimed,) = read_table({"champions.parquet": store.read(done, "champions.parquet")}, "champions")[
-                "claimed"
-            ]
-            (segment,) = labelled(upstream["evolve"].done)["true_slush/1m/trial-0"]
-            population = population_of({POPULATION: store.read(segment, POPULATION)})
-            assert champion_of(population) is not None
-            assert claimed == population.fitness[population.champion()]
 
 
 def test_the_paper_s_objective_leaves_keys_as_they_were(settings):
     paper = settings.model_copy(
         update={"evolution": settings.evolution.model_copy(update={"objective": "displacement"})}
     )
-    for stage in (EVOLVE, TRANSFER, ANALYSE):
+    for stage in (EVOLVE, TRANSFER):
         ours, theirs = (to_json(stage.plan(of)[-1].spec) for of in (settings, paper))
         assert "objective" not in theirs and "objective_depths" not in theirs
         assert ours == {**theirs, "objective": "second_half_speed"}

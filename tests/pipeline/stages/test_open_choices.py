@@ -10,14 +10,15 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.stages.analyses.analysis_tables import read_table
+from pipeline.stages.analyse import read_columns
 from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.transfer import CHAMPION, SCORE, TRANSFER
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store
 from pipeline.workflow.identity import to_json
-from tasks.analysis.prediction import aggregates
+from tasks.analysis.tables import ANALYSES
+from tasks.analysis.tables.regressions import predictors_of
 
 SETTINGS = """
 name: choices
@@ -49,17 +50,13 @@ def test_the_sample_s_deviation_is_that_of_fitness_scores_and_predictions(done):
     store, upstream = done
     scored = labelled(upstream["transfer"].done)["residual_slush/9m/trial-0"][-1]
     scores = decode_json(store.read(scored, SCORE), "scores")
-    analysed = labelled(upstream["analyse"].done)
-    exploiters = read_table(
-        {"exploiters.parquet": store.read(analysed["exploiters"][0], "exploiters.parquet")}, "exploiters"
-    )
-    np.testing.assert_allclose(exploiters["disagreement"], exploiters["by_member"].std(axis=1, ddof=1), rtol=1e-12)
-    own = (exploiters["kind"] == "champion") & (exploiters["environment"] == "residual_slush")
-    assert scores["predicted_sd"] == pytest.approx(exploiters["disagreement"][own][0])
+    (ranked,) = labelled(upstream["analyse"].done)["exploiters"]
+    files = {"exploiters.parquet": store.read(ranked, "exploiters.parquet")}
+    assert scores["predicted_sd"] == pytest.approx(read_columns(files, ANALYSES["exploiters"])["disagreement"][0])
     assert scores["fitness"] == pytest.approx(scores["predicted"] - scores["predicted_sd"])
     assert design_from(decode_json(store.read(scored, CHAMPION), "champion"), "champion").frequency.size == 1
     predicted = np.array([[1.0], [3.0], [8.0]])
-    assert aggregates(predicted, "sample")["mean - 1 sd"] == pytest.approx(4 - np.sqrt(13))
+    assert predictors_of(predicted, "sample")["mean - 1 sd"] == pytest.approx(4 - np.sqrt(13))
 
 
 def changed(settings: Settings, *overrides: str) -> Settings:

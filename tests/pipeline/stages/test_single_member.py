@@ -7,11 +7,12 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.stages.analyses.analysis_tables import read_table
+from pipeline.stages.analyse import read_columns
 from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.transfer import SCORE
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store
+from tasks.analysis.tables import ANALYSES
 
 N_MEMBERS, N_TRIALS = 2, 4
 
@@ -42,32 +43,14 @@ def test_every_trial_has_a_network_of_its_own(singles):
     assert len(networks) == N_TRIALS
 
 
-def test_the_ensemble_beside_it_has_its_members_alone(singles):
-    store, upstream = singles
-    ranked = read_table({"exploiters.parquet": _analysed(store, upstream, "exploiters", "exploiters")}, "exploiters")
-    assert ranked["by_member"].shape[1] == N_MEMBERS
-
-
 def test_champions_repeat_their_scores_in_their_own_networks(singles):
     store, upstream = singles
     scored = labelled(upstream["transfer"].done)
     scores = [
         decode_json(store.read(scored[f"single_member/1m/trial-{k}"][-1], SCORE), "scores") for k in range(N_TRIALS)
     ]
-    files = {"champions.parquet": _analysed(store, upstream, "instruments/single_member/1m", "champions")}
-    champions = read_table(files, "champions")
-    assert champions["home_displacement"].tolist() == [score["predicted"] for score in scores]
     assert all(score["predicted"] == score["fitness"] and score["predicted_sd"] is None for score in scores)
-
-
-def test_the_film_names_the_network(singles):
-    store, upstream = singles
-    label = "instruments/single_member/1m"
-    best = read_table({"champions.parquet": _analysed(store, upstream, label, "champions")}, "champions")["best"]
-    films = read_table({"films.parquet": _analysed(store, upstream, label, "films")}, "films")
-    assert films["member"].tolist() == [-1, best.tolist().index(True)]  # in True Slush, and where it evolved
-
-
-def _analysed(store, upstream, label, table):
-    (done,) = labelled(upstream["analyse"].done)[label]
-    return store.read(done, f"{table}.parquet")
+    (done,) = labelled(upstream["analyse"].done)["scores"]
+    rows = read_columns({"scores.parquet": store.read(done, "scores.parquet")}, ANALYSES["scores"])
+    own = rows["environment"] == "single_member"
+    assert rows["predicted"][own].tolist() == [score["predicted"] for score in scores]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.stages.trial_scores import NO_CHAMPION, TrialScores, decode_scores, encode_scores, finite_scores
+from pipeline.stages.trial_scores import NO_CHAMPION, TrialScores, decode_scores, encode_scores
 
 OF_ENSEMBLE = TrialScores(fitness=2.5, predicted=3.0, predicted_sd=0.5, zero_shot=1.0, zero_shot_com=0.75)
 ADAPTED = replace(OF_ENSEMBLE, predicted_sd=None, adapted=4.0, adapted_com=3.5)
@@ -31,5 +31,5 @@ def test_the_file_tells_what_diverged_from_what_was_not_simulated():
 
 
 def test_what_is_missing_or_diverged_is_not_finite():
-    assert finite_scores([OF_ENSEMBLE, None, DIVERGED], "zero_shot") == [1.0]
-    assert finite_scores([OF_ENSEMBLE, ADAPTED, DIVERGED], "adapted") == [4.0]
+    assert [one.finite("zero_shot") for one in (OF_ENSEMBLE, DIVERGED)] == [1.0, None]
+    assert [one.finite("adapted") for one in (OF_ENSEMBLE, ADAPTED)] == [None, 4.0]

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tasks.analysis.prediction import draw_over_generations, spread_evenly
+from tasks.analysis.sample import draw_over_generations, spread_evenly
 
 
 @given(st.integers(0, 5000), st.integers(1, 40))

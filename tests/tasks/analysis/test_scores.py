@@ -1,25 +1,24 @@
 import numpy as np
 import pytest
+from scores_of import scores_of
 
-from tasks.analysis.scores import Scores
-
-
-def test_columns_of_different_lengths_are_refused():
-    with pytest.raises(ValueError, match=r"expected \(n_trials,\) for all"):
-        Scores(np.array(["dry_land"]), np.zeros(2), np.zeros(2, int), np.zeros(2), np.zeros(2), np.zeros(2))
+from tasks.analysis.scores import BEST, ScoredTrial, Scores, arm_name
 
 
-def test_trials_come_in_the_order_of_their_numbers():
-    trial, zeros = np.array([2, 0, 1]), np.zeros(3)
-    table = Scores(np.array(["dry_land"] * 3), np.full(3, 9.0), trial, zeros, trial.astype(float), zeros)
-    assert table.values("dry_land", "zero_shot", 9.0).tolist() == [0.0, 1.0, 2.0]
-    assert table.replicate.tolist() == [0, 0, 0]
-
-
-def test_a_sample_has_the_replicates_of_its_finite_values():
-    trial, zeros = np.array([2, 0, 1]), np.zeros(3)
-    table = Scores(
-        np.array(["residual_slush"] * 3), np.full(3, 9.0), trial, zeros, np.array([2, 0, np.nan]), zeros, trial % 2 + 5
-    )
-    found = table.sample("residual_slush", "zero_shot", 9.0)
+def test_trials_come_in_the_order_of_their_numbers_with_their_replicates():
+    trials = [
+        ScoredTrial("residual_slush", 9.0, k, k % 2 + 5, zero_shot=z) for k, z in ((2, 2.0), (0, 0.0), (1, np.nan))
+    ]
+    found = Scores.of(trials).sample(("residual_slush", "zero_shot"), 9.0)
     assert (found.values.tolist(), found.replicate.tolist()) == ([0.0, 2.0], [5, 5])
+
+
+def test_arms_are_listed_the_deepest_first_in_their_usual_order():
+    table = scores_of({("dry_land", 1.0): [0], ("true_slush", 1.0): [0], ("dry_land", 9.0): [0]})
+    assert table.arms() == [("dry_land", 9.0), ("true_slush", 1.0), ("dry_land", 1.0)]
+    assert table.depths() == [1.0, 9.0]
+
+
+@pytest.mark.parametrize(("arm", "name"), [(BEST, "True Slush"), (("dry_land", "adapted"), "Dry Land adapted")])
+def test_names_of_arms(arm, name):
+    assert arm_name(arm) == name

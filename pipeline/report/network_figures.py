@@ -1,0 +1,196 @@
+"""Figures of the throws and the networks: paper, Figs. 2 and 3, and what robots do outside the throws."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from pipeline.report.drawing import (
+    DASHED,
+    DOTTED,
+    FIGURE_WIDTH,
+    INK,
+    NothingToDraw,
+    legend,
+    panel_grid,
+    sampled,
+    show_at_least,
+)
+from tasks.analysis.coverage import EVERYTHING, CoverageRow
+from tasks.analysis.estimates import Estimate
+from tasks.analysis.registry import Assessed
+from tasks.analysis.tables.champion_coverage import ChampionCoverage
+from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemble_name
+from tasks.analysis.tables.transfer import ScoreRow
+from tasks.arrays import Float64, Int64
+from tasks.residual import OBSERVATION
+from tasks.world import ENVIRONMENTS
+
+_DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
+"""Opacity grows with the number of designs, so that it is legible on a light and on a dark page."""
+_N_BINS = 48
+_COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")  # of projectiles, from short to long
+_VIEW = 20.0  # distance shown to either side of the start of a throw [m]
+_MOST_SIZES = 3  # panels of sizes
+_LABELS = ("length", "height", "angle", "vx", "vy", "spin")
+_SEEN_IN = {"dry_land": "random robots in the base simulator", "residual_slush": "robots evolved in the ensemble"}
+_DATA_SETS = {"throws": "the paper’s throws", "designed_throws": "throws designed for robots"}
+
+
+@dataclass(frozen=True, eq=False)
+class ThrowPaths:
+    """The throws of a data set."""
+
+    length_scale: Float64  # (n_throws,) long axis of the link [m]
+    path: Float64  # (n_throws, n_steps, 3) x, y [m], angle [rad]; NaN where a throw lacks a step
+
+
+def data_set(throws: ThrowPaths | None) -> Figure:
+    """Draw a panel for each size of projectile: the paths of all throws, and the poses along one of them."""
+    if throws is None or len(throws.length_scale) == 0:
+        raise NothingToDraw
+    sizes, group = np.unique(throws.length_scale, return_inverse=True)
+    titles = [f"{size:g} m × {1 / size:.2g} m" for size in sizes]
+    if len(sizes) > _MOST_SIZES:  # by thirds of the range
+        edges = np.linspace(sizes[0], sizes[-1], 4)
+        titles = [f"{low:.1f} to {high:.1f} m long" for low, high in pairwise(edges)]
+        group = np.searchsorted(edges[1:-1], throws.length_scale)
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.0 * len(titles) + 0.5), layout="constrained")
+    panels = figure.subplots(len(titles), 1, sharex=True, sharey=True, squeeze=False).ravel()
+    for number, (panel, title) in enumerate(zip(panels, titles, strict=True)):
+        _paths(panel, throws, group == number, _COLORS[number % len(_COLORS)])
+        panel.axhline(0, color=ENVIRONMENTS["true_slush"].color, lw=1.2)
+        panel.set_title(f"{title}, {(group == number).sum():,} throws")
+        panel.set(aspect="equal", xlim=(-_VIEW, _VIEW), ylim=(-6, 0.6 * _VIEW), ylabel="y [m]")
+    panels[-1].set_xlabel("x [m]")
+    return figure
+
+
+def _paths(panel: Any, throws: ThrowPaths, chosen: Int64, color: str) -> None:
+    paths = throws.path[chosen]
+    xy = paths[:, sampled(paths.shape[1], 40), :2]
+    gap = np.full((len(xy), 1, 2), np.nan)  # lifts the pen between throws
+    panel.plot(*np.concatenate((xy, gap), axis=1).reshape(-1, 2).T, color=color, lw=0.6, alpha=0.5)
+    # The throw drawn with its poses is the longest path among those that stay in view.
+    length = np.nansum(np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2), axis=1)
+    length[(np.abs(paths[:, :, :2]) > 0.6 * _VIEW).any(axis=(1, 2))] *= 1e-3
+    poses = paths[int(np.argmax(length)), :: max(1, paths.shape[1] // 10)]
+    long = float(throws.length_scale[chosen][0])
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * (1 / long, long)
+    cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    turned = np.stack((cos * corners[:, 0] - sin * corners[:, 1], sin * corners[:, 0] + cos * corners[:, 1]), axis=-1)
+    outlines = list(poses[:, None, :2] + turned)
+    panel.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=INK, linewidths=0.9))
+
+
+def prediction_accuracy(
+    assessed: Mapping[str, Assessed], regressions: Sequence[Regression], *, members: bool
+) -> Figure:
+    """Draw a 2-D histogram with regression and ideal lines for the mean of each ensemble, or for each main member.
+
+    The square spans 99.8 % of all displacements, so that a single extreme prediction does not stretch it.
+    """
+    fits = {(row.learned_from, row.name): row for row in regressions}
+    panels: list[tuple[str, Float64, Float64, list[tuple[Regression, Any]]]] = []
+    for group, one in list(assessed.items())[: 1 if members else None]:
+        if not members:
+            lines = [(fits[group, name], dashes) for name, dashes in ((MEAN, "-"), (CAUTIOUS, DOTTED))]
+            panels.append((ensemble_name(group), one.predicted.mean(axis=0), one.true, lines))
+        for k, row in enumerate(one.predicted if members else ()):
+            panels.append((f"member {k}", row, one.true, [(fits[group, f"member {k}"], "-")]))
+    known = [np.isfinite(x) & np.isfinite(y) for _, x, y, _ in panels]
+    if not any(used.any() for used in known):
+        raise NothingToDraw
+    pairs = ((x[used], y[used]) for (_, x, y, _), used in zip(panels, known, strict=True))
+    low, high = np.quantile(np.concatenate([values for pair in pairs for values in pair]), (0.001, 0.999))
+    margin = 0.02 * (high - low) or 0.5
+    low, high = float(low - margin), float(high + margin)
+    edges = np.linspace(low, high, _N_BINS + 1)
+    figure, drawn = panel_grid(len(panels), 2, row_height=2.45)
+    for panel, (name, x, y, lines), used in zip(drawn, panels, known, strict=True):
+        counts = np.histogram2d(x[used], y[used], bins=(edges, edges))[0]
+        seen = np.ma.masked_equal(counts.T, 0)
+        looks = {"cmap": _DENSITY, "norm": LogNorm(1, max(2, int(counts.max()))), "interpolation": "none"}
+        # Not exactly square: Matplotlib leaves no room for the labels of a figure whose panels keep their proportions.
+        panel.imshow(seen, origin="lower", extent=(low, high, low, high), aspect="auto", **looks)
+        panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=DASHED)
+        title = [name]
+        for fit, dashes in lines:
+            if fit.slope.value is not None and fit.intercept.value is not None:
+                ends = np.array([low, high])
+                panel.plot(ends, fit.intercept.value + fit.slope.value * ends, color=INK, lw=1.6, ls=dashes)
+            symbol = "" if members else "μ: " if fit.name == MEAN else "μ − σ: "
+            title.append(f"{symbol}R {_two_digits(fit.r)}, m {_two_digits(fit.slope)}")
+        panel.set_title("\n".join(title), fontsize=9)
+        panel.set(xlim=(low, high), ylim=(low, high))
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_locator(MaxNLocator(4, integer=True))
+    figure.supxlabel("predicted displacement [m]")
+    figure.supylabel("in True Slush [m]")
+    handles = [Line2D([], [], color=INK, lw=1.6, label="regression"), Line2D([], [], color=INK, lw=0.9, ls=DASHED)]
+    handles[1].set_label("y = x")
+    legend(figure, handles, above=True)
+    return figure
+
+
+def _two_digits(found: Estimate) -> str:
+    return "–" if found.value is None else f"{found.value:z.2f}".replace("-", "−")
+
+
+Pilots = Mapping[str, Mapping[str, Sequence[CoverageRow]]]  # by data set, and by where robots were seen
+
+
+def coverage(pilots: Pilots) -> Figure:
+    """Draw a panel for each data set: a bar for each component and kind of robot."""
+    if not pilots:
+        raise NothingToDraw
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.9 * len(pilots) + 0.7), layout="constrained")
+    panels = figure.subplots(len(pilots), 1, sharex=True, squeeze=False).ravel()
+    for panel, (words, by_robots) in zip(panels, pilots.items(), strict=True):
+        for number, (seen_in, rows) in enumerate(by_robots.items()):
+            shares = {row.component: 100 * row.share_outside for row in rows}
+            y = [k + 0.2 * (2 * number - 1) for k in range(len(OBSERVATION))]
+            whole = f"{_SEEN_IN[seen_in]}: {shares[EVERYTHING]:.0f} %"
+            bars = [shares[name] for name in OBSERVATION]
+            panel.barh(y, bars, height=0.36, color=ENVIRONMENTS[seen_in].color, label=whole)
+        panel.set_yticks(range(len(OBSERVATION)), _LABELS)
+        panel.invert_yaxis()
+        panel.set_title(_DATA_SETS.get(words, words))
+        panel.legend(loc="best", fontsize=7)
+    panels[-1].set_xlabel("share of the states outside the throws [%]")
+    return figure
+
+
+def champion_coverage(rows: Sequence[ChampionCoverage], scores: Sequence[ScoreRow]) -> Figure:
+    """Draw a point for each champion: how much of what it does is outside the throws, and what it fails to keep."""
+    known = {
+        (one.environment, one.depth, one.trial): one.predicted - one.zero_shot
+        for one in scores
+        if one.predicted is not None and one.zero_shot is not None
+    }
+    points: dict[str, list[tuple[float, float]]] = {}
+    for row in rows:
+        if row.component == EVERYTHING and (key := (row.environment, row.depth, row.trial)) in known:
+            points.setdefault(row.environment, []).append((100 * row.share_outside, known[key]))
+    if not points:
+        raise NothingToDraw
+    figure = Figure(figsize=(FIGURE_WIDTH, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    for name, own in points.items():
+        style = ENVIRONMENTS[name]
+        look: dict[str, Any] = {"marker": style.marker, "color": style.color, "label": style.label}
+        axes.plot(*zip(*own, strict=True), ms=4, mew=0, ls="none", alpha=0.6, **look)
+    axes.axhline(0, color=INK, lw=0.8)
+    axes.set_xlabel("share of a champion’s states outside the throws [%]")
+    axes.set_ylabel("predicted − true displacement [m]")
+    show_at_least(axes)
+    axes.grid()
+    legend(figure, axes.get_legend_handles_labels()[0], n_columns=2)
+    return figure

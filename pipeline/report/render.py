@@ -1,0 +1,222 @@
+"""Tables for a reader: rows of a registered dataclass as HTML, terminal text, Markdown, LaTeX, CSV or JSON.
+
+The fields of the dataclass say how each value is written (tasks/analysis/registry.py). Estimates are written with their
+interval, means with their deviation. Columns without any value are left out.
+"""
+
+import json
+import re
+import textwrap
+import unicodedata
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from itertools import zip_longest
+from typing import Any
+
+from markupsafe import Markup
+
+from pipeline.store.tables import columns_of, csv_of
+from pipeline.text import escape
+from tasks.analysis.comparison import VERDICTS
+from tasks.analysis.estimates import Estimate, Mean
+
+_WIDTH = 78  # of a table in a terminal [characters], if its words can be broken so far
+_MOST_CHARACTERS = (34, 28, 22, 16, 12)  # of a line of words there; the first that fits
+NONE = "–"  # stands where there is no value
+MARKS = dict(zip(VERDICTS, "✓≠?", strict=True))  # so that colour is not the only difference
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A written value: what is read first, and its interval."""
+
+    main: str = NONE
+    below: str = ""
+
+    @property
+    def text(self) -> str:
+        """All of it in a line."""
+        return f"{self.main} ({self.below})" if self.below else self.main
+
+
+@dataclass(frozen=True)
+class Written:
+    """A table of text: headings, cells by row, and which columns hold numbers."""
+
+    names: list[str]
+    headings: list[str]
+    meanings: list[str]
+    rows: list[list[Cell]]
+
+    def is_number(self, column: int) -> bool:
+        """Return whether a column holds numbers, which are aligned to the right."""
+        return all(re.match(r"[−+<±\d–]", row[column].main) for row in self.rows)
+
+
+def written(kind: type, rows: Sequence[Any], without: Sequence[str] = ()) -> Written:
+    """Write the columns that readers see, without some that are said elsewhere."""
+    shown = [one for one in fields(kind) if one.metadata["shown"] and one.name not in without]
+    shown = [one for one in shown if any(getattr(row, one.name) not in _ABSENT for row in rows)]
+    units = [one.metadata["unit"] for one in shown]
+    labels = [one.metadata["label"] for one in shown]
+    return Written(
+        [one.name for one in shown],
+        [f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)],
+        [one.metadata["meaning"] for one in shown],
+        [[_cell(getattr(row, one.name), one.metadata["form"]) for one in shown] for row in rows],
+    )
+
+
+_ABSENT = (None, "", Estimate(None), Mean(None))
+
+
+def _cell(value: Any, form: str | Callable[[Any], str]) -> Cell:
+    if value in _ABSENT:
+        return Cell()
+    if isinstance(value, Estimate):
+        ends = [_write(end, form) for end in value.interval or ()]
+        return Cell(_write(value.value, form), " to ".join(ends))
+    if isinstance(value, Mean):
+        main = _write(value.value, form)
+        return Cell(main if value.sd is None else f"{main} ± {_write(value.sd, form)}")
+    if value in MARKS:
+        return Cell(f"{MARKS[value]} {value}")
+    return Cell(_write(value, form))
+
+
+def _write(value: Any, form: str | Callable[[Any], str]) -> str:
+    return typeset(form.format(value) if isinstance(form, str) else form(value))
+
+
+def typeset(text: str) -> str:
+    """Set minus signs, and a number and its unit on one line."""
+    text = re.sub(r"(?<=\d)%", " %", re.sub(r"(?<![\w.])-(?= ?\d)", "−", text))
+    return re.sub(r"(?<=\d) (?=(m|%|cm|mm/s)\b|%)", "\u00a0", text)
+
+
+def as_html(
+    kind: type,
+    rows: Sequence[Any],
+    label: str,
+    *,
+    address: Callable[[Any], str] = lambda row: "",
+    without: Sequence[str] = (),
+) -> Markup:
+    """Return a table that scrolls sideways on a narrow page, or one of verdicts, whose rows become cards there.
+
+    Args:
+        kind: dataclass of the rows.
+        rows: the rows.
+        label: name of the table for screen readers.
+        address: returns where on the page a row's robot is; "" if nowhere.
+        without: fields that are said elsewhere.
+    """
+    table = written(kind, rows, without)
+    numbers = [table.is_number(column) for column in range(len(table.names))]
+    head = "".join(
+        f'<th{"" if number else " class=words"} title="{escape(meaning)}">{escape(heading)}</th>'
+        for heading, meaning, number in zip(table.headings, table.meanings, numbers, strict=True)
+    )
+    body = ""
+    for row, cells in zip(rows, table.rows, strict=True):
+        body += "<tr>"
+        for name, heading, cell, number in zip(table.names, table.headings, cells, numbers, strict=True):
+            main = escape(cell.main)
+            if name == "environment":
+                main = f'<span class="swatch {escape(row.environment)}"></span>{main}'
+                main = f'<a href="#{escape(to)}">{main}</a>' if (to := address(row)) else main
+            kinds = "number" if number else "words"
+            kinds += f" verdict {getattr(row, name).replace(' ', '-')}" if name == "verdict" else ""
+            below = f"<small>{escape(cell.below)}</small>" if cell.below else ""
+            body += f'<td class="{kinds}" data-column="{escape(heading)}">{main}{below}</td>'
+        body += "</tr>"
+    cards = ' class="cards"' if "verdict" in table.names else ""
+    content = f"<table{cards}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return Markup(f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">{content}</div>')
+
+
+def as_text(kind: type, rows: Sequence[Any], without: Sequence[str] = ()) -> list[str]:
+    """Return lines for a terminal, with words wrapped and numbers aligned to the right."""
+    table = written(kind, rows, without)
+    for most in _MOST_CHARACTERS:
+        columns = [_laid_out(table, column, most) for column in range(len(table.names))]
+        if sum(len(column[0][0]) + 2 for column in columns) <= _WIDTH + 2:
+            break
+    lines = []
+    for cells in zip(*columns, strict=True):
+        for parts in zip_longest(*cells):
+            blank = (" " * len(column[0][0]) for column in columns)
+            lines.append("  ".join(part or space for part, space in zip(parts, blank, strict=True)).rstrip())
+    return lines
+
+
+def _laid_out(table: Written, column: int, most: int) -> list[list[str]]:
+    """Return the lines of each cell of a column."""
+    heading, texts = table.headings[column], [row[column].text.replace("\u00a0", " ") for row in table.rows]
+    number, longest = table.is_number(column), max(map(len, texts), default=0)
+    width = max(longest if number else min(longest, most), *map(len, heading.split()))
+    laid = [textwrap.wrap(text, width, break_on_hyphens=False) for text in (heading, *texts)]
+    return [[f"{line:>{width}}" if number else f"{line:<{width}}" for line in cell] for cell in laid]
+
+
+def as_markdown(kind: type, rows: Sequence[Any]) -> str:
+    """Return a table in Markdown."""
+    table = written(kind, rows)
+    rules = ["--:" if table.is_number(column) else "---" for column in range(len(table.names))]
+    lines = [table.headings, rules, *([cell.text for cell in row] for row in table.rows)]
+    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def as_latex(kind: type, rows: Sequence[Any], caption: str) -> str:
+    """Return a ``tabular``, which a paper reads with the command input; it needs the package booktabs."""
+    table = written(kind, rows)
+    aligned = "".join("r" if table.is_number(column) else "l" for column in range(len(table.names)))
+    lines = [_latex_row(table.headings), "\\midrule", *(_latex_row([cell.text for cell in row]) for row in table.rows)]
+    meanings = [f"% {name}: {meaning}" for name, meaning in zip(table.headings, table.meanings, strict=True) if meaning]
+    head, foot = f"\\begin{{tabular}}{{{aligned}}}\n\\toprule", "\\bottomrule\n\\end{tabular}\n"
+    return "\n".join([f"% {caption}", *meanings, head, *lines, foot])
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    return " & ".join(map(_latex, cells)) + r" \\"
+
+
+_LATEX = {character: f"\\{character}" for character in "&%$#_{}"}
+_LATEX |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\u00a0": "~", "−": "$-$"}
+_LATEX |= {"±": r"$\pm$", "μ": r"$\mu$", "σ": r"$\sigma$", "′": "$'$", "–": "--", "≠": r"$\neq$", "✓": r"\checkmark{}"}
+_LATEX |= {"²": "$^2$", "·": r"$\cdot$"}
+_ACCENTS = {"\u0302": r"\^{%s}", "\u0303": r"\~{%s}", "\u0304": r"\={%s}", "\u20d7": r"$\vec{%s}$"}  # combining
+
+
+def _latex(text: str) -> str:
+    out: list[str] = []
+    for character in "".join(c if c in _LATEX else unicodedata.normalize("NFD", c) for c in text):
+        if character in _ACCENTS and out:
+            out.append(_ACCENTS[character] % out.pop())
+        elif (parts := unicodedata.decomposition(character)).startswith("<sub> "):
+            out.append(f"$_{chr(int(parts.split()[1], 16))}$")
+        else:
+            out.append(_LATEX.get(character, character))
+    return "".join(out)
+
+
+def as_csv(kind: type, rows: Sequence[Any]) -> bytes:
+    """Return every column as comma-separated values."""
+    return csv_of(columns_of(kind, rows))
+
+
+def as_json(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
+    """Return rows as JSON values, with every column; what is missing is null."""
+    columns = columns_of(kind, rows)
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    known = ([None if value != value else value for value in row] for row in values)
+    return [dict(zip(columns, row, strict=True)) for row in known]
+
+
+WRITERS: dict[str, Callable[[type, Sequence[Any], str], str]] = {
+    ".md": lambda kind, rows, caption: as_markdown(kind, rows),
+    ".tex": as_latex,
+    ".csv": lambda kind, rows, caption: as_csv(kind, rows).decode(),
+    ".json": lambda kind, rows, caption: json.dumps(as_json(kind, rows), indent=1, ensure_ascii=False) + "\n",
+}
+"""Writers of a table, by the suffix of the file."""

@@ -1,0 +1,200 @@
+"""Figures of champions and their evolution: paper, Fig. 4, fitness by generation, and the gap's causes."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from pipeline.report.drawing import (
+    FAINT,
+    FIGURE_WIDTH,
+    INK,
+    PAPER_MARK,
+    NothingToDraw,
+    legend,
+    panel_grid,
+    sampled,
+    show_at_least,
+)
+from tasks.analysis import paper
+from tasks.analysis.tables.attribution import Attribution
+from tasks.analysis.tables.transfer import ScoreRow, TransferRow, papers_mean
+from tasks.arrays import Float64
+from tasks.world import ENVIRONMENTS
+
+_CURVE_POINTS = 120  # generations drawn per fitness curve
+_MOST_DEPTHS = 4  # panels of fitness curves
+
+_TRANSFERS = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
+
+
+def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoreRow]) -> Figure:
+    """Draw a bar for every arm at the greatest depth: mean ± 1 SD in True Slush, the trials, the paper's mean."""
+    known = [row for row in rows if row.zero_shot.value is not None]
+    if not known:
+        raise NothingToDraw
+    depth = max(row.depth for row in known)
+    figure = Figure(figsize=(FIGURE_WIDTH, 4.1), layout="constrained")
+    axes = figure.add_subplot()
+    ticks: dict[str, float] = {}
+    center = 0.0
+    for row in known:
+        if row.depth != depth:
+            continue
+        style, centers = ENVIRONMENTS[row.environment], []
+        for quantity, mean in (("zero_shot", row.zero_shot), ("adapted", row.adapted)):
+            if mean.value is None:
+                continue
+            own = [one for one in scores if (one.environment, one.depth) == (row.environment, depth)]
+            values = [value for one in own if (value := getattr(one, quantity)) is not None]
+            adapted = quantity == "adapted"
+            color = style.adapted_color if adapted else style.color
+            axes.bar(center, mean.value, 0.62, ec=style.color, lw=1.0, fc=color, hatch="////" if adapted else "")
+            axes.errorbar(center, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
+            spread = np.linspace(-0.2, 0.2, len(values)) if len(values) > 1 else np.zeros(1)
+            axes.plot(center + spread, values, style.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
+            if (stated := papers_mean(row.environment, quantity, depth)) is not None:
+                axes.plot([center + 0.34, center + 0.56], [stated] * 2, color=PAPER_MARK, lw=2.5)
+            centers.append(center)
+            center += 1.0
+        ticks[style.label.replace(" ", "\n")] = float(np.mean(centers))
+        center += 0.45
+    axes.axhline(0, color=INK, lw=0.8)
+    axes.set_xticks(list(ticks.values()), list(ticks), fontsize="small" if len(ticks) <= 6 else "x-small")
+    axes.tick_params(axis="x", length=0)
+    axes.set_xlim(-0.7, center - 0.65)
+    axes.set_ylabel("displacement in True Slush [m]")
+    show_at_least(axes)
+    axes.set_title(f"depth {depth:g} m")
+    axes.grid(axis="y")
+    handles: list[Artist] = [
+        Patch(facecolor=FAINT, edgecolor=INK, lw=0.8, label="zero-shot"),
+        Patch(facecolor="none", edgecolor=INK, lw=0.8, hatch="////", label="controller adapted"),
+    ]
+    paper_line = [Line2D([], [], color=PAPER_MARK, lw=2.5, label="paper")] if depth == paper.DEPTH else []
+    legend(figure, [*handles, *paper_line])
+    return figure
+
+
+def transfer_across_depths(rows: Sequence[TransferRow]) -> Figure:
+    """Draw lines over depth for every environment, a panel for zero-shot and one for adapted, with ± 1 SD."""
+    listed = sorted({row.depth for row in rows})
+    drawn = [name for name in _TRANSFERS if any(getattr(row, name).value is not None for row in rows)]
+    if len(listed) < 2 or not drawn:
+        raise NothingToDraw
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.8 * len(drawn) + 1.0), layout="constrained")
+    panels = figure.subplots(len(drawn), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    present = [name for name in ENVIRONMENTS if any(row.environment == name for row in rows)]
+    for panel, quantity in zip(panels, drawn, strict=True):
+        for number, name in enumerate(present):
+            style, shift = ENVIRONMENTS[name], 0.07 * (number - (len(present) - 1) / 2)
+            own = sorted((row for row in rows if row.environment == name), key=lambda row: row.depth)
+            found = [(row.depth, mean) for row in own if (mean := getattr(row, quantity)).value is not None]
+            if found:
+                at = [listed.index(depth) + shift for depth, _ in found]
+                means, sds = zip(*((mean.value, mean.sd or 0.0) for _, mean in found), strict=True)
+                panel.errorbar(at, means, sds, color=style.color, marker=style.marker, ms=5, elinewidth=0.9)
+        panel.axhline(0, color=INK, lw=0.8)
+        panel.set_title(_TRANSFERS[quantity])
+        panel.grid(axis="y")
+    panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
+    panels[-1].set_xlabel("depth [m]")
+    figure.supylabel("displacement in True Slush [m]")
+    styles = [ENVIRONMENTS[name] for name in present]
+    handles = [Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label) for style in styles]
+    legend(figure, handles, n_columns=3 if len(handles) <= 6 else 2)
+    return figure
+
+
+def attribution(rows: Sequence[Attribution]) -> Figure:
+    """Draw a panel for each arm: the gap to the designs evolved in True Slush by depth, split into its two causes."""
+    known = [row for row in rows if row.gap.value is not None]
+    if not known:
+        raise NothingToDraw
+    arms, listed = list(dict.fromkeys(row.environment for row in known)), sorted({row.depth for row in known})
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.6 * len(arms) + 0.9), layout="constrained")
+    panels = figure.subplots(len(arms), 1, sharex=True, sharey=True, squeeze=False).ravel()
+    for panel, arm in zip(panels, arms, strict=True):
+        for row in known:
+            if row.environment == arm:
+                _stack(panel, listed.index(row.depth), row)
+        panel.axhline(0, color=INK, lw=0.8)
+        panel.set_title(ENVIRONMENTS[arm].label)
+        panel.grid(axis="y")
+        panel.set_ylabel("gap [m]")
+    # Two replicates leave a single degree of freedom, and intervals ten times as long as the gap.
+    parts = (part.value for row in known for part in (row.gap, row.lost_to_body, row.lost_to_controller))
+    most = 2 * max(0.05, *(abs(part) for part in parts if part is not None))
+    low, high = panels[0].get_ylim()
+    panels[0].set_ylim(max(low, -most), min(high, most))
+    show_at_least(panels[0])
+    panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
+    panels[-1].set_xlim(-0.6, len(listed) - 0.4)
+    panels[-1].set_xlabel("depth [m]")
+    handles = [
+        Patch(facecolor="none", edgecolor=INK, lw=0.8, hatch="////", label="controller"),
+        Patch(facecolor=INK, edgecolor=INK, lw=0.8, label="body"),
+        Line2D([], [], color=INK, marker="D", mfc="#ffffff", ms=4.5, ls="none", label="gap, 95 %"),
+    ]
+    legend(figure, handles)
+    return figure
+
+
+def _stack(panel: Any, place: int, row: Attribution) -> None:
+    style = ENVIRONMENTS[row.environment]
+    tops = {True: 0.0, False: 0.0}  # parts above and below 0 are stacked separately
+    for part, looks in (
+        (row.lost_to_body.value, {"facecolor": style.color}),
+        (row.lost_to_controller.value, {"facecolor": style.adapted_color, "hatch": "////"}),
+    ):
+        if part is not None:
+            panel.bar(place, part, 0.62, bottom=tops[part >= 0], edgecolor=style.color, lw=1.0, **looks)
+            tops[part >= 0] += part
+    if row.gap.interval is not None:
+        panel.plot([place, place], row.gap.interval, color=INK, lw=1.1)
+    panel.plot(place, row.gap.value, "D", mfc="#ffffff", mec=INK, ms=4.5)
+
+
+Curves = Mapping[tuple[str, float], Sequence[Float64]]  # best fitness by generation of each trial, by arm
+
+
+def fitness_curves(curves: Curves, unit: str) -> Figure:
+    """Draw a panel for some depths: best fitness by generation where the robots evolve, mean ± 1 SD over trials."""
+    known = {arm: [curve for curve in own if np.isfinite(curve).any()] for arm, own in curves.items()}
+    known = {arm: own for arm, own in known.items() if own}
+    if not known:
+        raise NothingToDraw
+    listed = sorted({depth for _, depth in known})
+    shown = [listed[i] for i in sampled(len(listed), _MOST_DEPTHS)]
+    figure, panels = panel_grid(len(shown), 2, row_height=2.9 if len(shown) == 1 else 1.9)
+    present = [name for name in ENVIRONMENTS if any(name == environment for environment, _ in known)]
+    for panel, depth in zip(panels, shown, strict=True):
+        for name in present:
+            _curve(panel, known.get((name, depth), ()), ENVIRONMENTS[name].color)
+        panel.set_title(f"depth {depth:g} m")
+        panel.grid()
+    show_at_least(panels[0])
+    panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
+    figure.supxlabel("generation")
+    figure.supylabel(f"best fitness [{unit}]")
+    handles = [Line2D([], [], color=ENVIRONMENTS[name].color, label=ENVIRONMENTS[name].label) for name in present]
+    legend(figure, handles, n_columns=2, above=True)
+    return figure
+
+
+def _curve(panel: Any, curves: Sequence[Float64], color: str) -> None:
+    if not curves:
+        return
+    # Trials that are still running are cut where the shortest ends, so that a mean is always over the same trials.
+    shown = sampled(min(map(len, curves)), _CURVE_POINTS)
+    best = np.array([np.asarray(curve)[shown] for curve in curves])
+    usable = np.isfinite(best).all(axis=0)  # every robot of an early generation may have diverged
+    best = best[:, usable]
+    mean, sd = best.mean(axis=0), best.std(axis=0, ddof=1) if len(best) > 1 else 0.0
+    panel.fill_between(shown[usable], mean - sd, mean + sd, color=color, alpha=0.22, lw=0)
+    panel.plot(shown[usable], mean, color=color)

@@ -1,0 +1,57 @@
+"""The comparison of two recorded studies, or of two arms of one."""
+
+import json
+
+from pipeline.errors import PuddleError
+from pipeline.report.comparison_page import Compared
+from pipeline.results.recorded_study import Study
+from pipeline.workflow.record import setting_changes
+from tasks.analysis.comparison import compare
+from tasks.analysis.scores import QUANTITIES
+from tasks.world import ENVIRONMENTS
+
+_OF_DISPLACEMENT = ("physics", "slush", "rollout")  # settings groups that decide what a displacement is
+
+
+def compare_arms(study: Study, a: str, b: str) -> Compared:
+    """Compare two arms of a study at every depth that both have.
+
+    Raises:
+        PuddleError: the study has no such arm, or the two have no champions at a common depth.
+    """
+    known = dict.fromkeys(name for name, _, _ in study.settings.grid.trials())
+    for arm in (a, b):
+        if arm not in known:
+            raise PuddleError(f"--arms: expected arms of study {study.name} ({', '.join(known)}), got {arm!r}")
+    scores = study.scores()
+    rows = compare(scores, scores, [((a, quantity), (b, quantity)) for quantity in QUANTITIES])
+    if not rows:
+        raise PuddleError(f"study {study.name}: {a} and {b} have no champions at the same depth yet")
+    names = [ENVIRONMENTS[arm].label for arm in (a, b)]
+    return Compared(f"{names[0]} against {names[1]} in study {study.name}", names[0], names[1], (), rows)
+
+
+def compare_studies(a: Study, b: Study) -> Compared:
+    """Compare study A with study B, the reference: each arm with the same arm, at every common depth.
+
+    Raises:
+        PuddleError: the two are one, or have no champions of the same environment at the same depth.
+    """
+    if (a.store.root, a.name) == (b.store.root, b.name):
+        raise PuddleError(f"expected two studies, got study {a.name} twice; --store-b names another store for B")
+    of_a, of_b = (study.settings.model_dump(mode="json", exclude={"name", "work"}) for study in (a, b))
+    changes = [(one.name, json.dumps(one.new), json.dumps(one.old)) for one in setting_changes(of_b, of_a)]
+    pairs = [((name, quantity), (name, quantity)) for name in ENVIRONMENTS for quantity in QUANTITIES]
+    pairs.remove((("true_slush", "predicted"),) * 2)  # which is zero-shot
+    rows = compare(a.scores(), b.scores(), pairs)
+    if not rows:
+        arms = [", ".join(f"{name} at {depth:g} m" for name, depth in study.scores().arms()) for study in (a, b)]
+        raise PuddleError(
+            f"studies {a.name} and {b.name} have no champions of the same environment at the same depth: expected "
+            f"some in both, got {arms[0] or 'none'} in {a.name} and {arms[1] or 'none'} in {b.name}"
+        )
+    physical = [name for name, _, _ in changes if name.split(".")[0] in _OF_DISPLACEMENT]
+    caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
+    same = a.store.root == b.store.root
+    side_a, side_b = (f"study {one.name}{'' if same else f', in {one.store.root}'}" for one in (a, b))
+    return Compared(f"{a.name} against {b.name}", side_a, side_b, changes, rows, caution)

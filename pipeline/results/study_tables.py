@@ -1,0 +1,139 @@
+"""The tables of a study by name, as Arrow tables whose first columns are environment, depth and trial.
+
+A table joins the files of all its work items: those of the stages below, and those of every registered analysis. Where
+a table is of the whole study, its keys are null. A missing number is NaN, and -inf is the fitness of a design that
+diverged. Each field has its unit in its metadata, and where an analysis describes it, its label and meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from pipeline.stages.analyse import table_file
+from pipeline.stages.assess import AssessmentId
+from pipeline.stages.data_sets import ChunkId, NetworkId
+from pipeline.stages.part import PartId
+from pipeline.stages.pilot import PilotId
+from pipeline.store.encoding import Array, decode_table, units_of
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.store.tables import described
+from pipeline.workflow.identity import ChainId, TrialId
+from pipeline.workflow.stage import Results, Upstream
+from tasks.analysis.tables import ANALYSES
+from tasks.evolution import OPERATORS
+
+
+@dataclass(frozen=True)
+class TableSource:
+    """Where the rows of a table are."""
+
+    stage: str
+    schema: str  # name of the Parquet files without suffix, too
+    version: int = 1
+
+    def files(self, results: Results) -> dict[ChainId, list[Manifest]]:
+        """Return the work items that hold rows, by chain."""
+        file = table_file(self.schema)
+        found = {
+            chain: [manifest for manifest in manifests if file in manifest.files]
+            for chain, manifests in results.done.items()
+        }
+        return {chain: manifests for chain, manifests in found.items() if manifests}
+
+
+SOURCES: Mapping[str, TableSource] = {
+    "histories": TableSource("evolve", "history"),
+    "fitness_curves": TableSource("evolve", "curve"),
+    "adaptations": TableSource("transfer", "history"),
+    "adaptation_curves": TableSource("transfer", "curve"),
+    "predictions": TableSource("assess", "predictions"),
+    "transitions": TableSource("collect", "transitions"),
+    "learning_curves": TableSource("train", "learning"),
+    "validation_errors": TableSource("train", "errors"),
+    "coverage": TableSource("pilot", "coverage"),
+    "pilot_states": TableSource("pilot", "states"),
+    **{name: TableSource("analyse", name, one.version) for name, one in ANALYSES.items()},
+}
+"""Tables by name."""
+
+KEYS: Mapping[str, pa.DataType] = {"environment": pa.string(), "depth": pa.float64(), "trial": pa.int64()}
+"""Columns that every table has."""
+
+_UNITS = {"environment": "", "depth": "m", "trial": "", "operator": ""}
+
+
+def available(upstream: Upstream) -> list[str]:
+    """Return the names of the tables that have rows in the store."""
+    return [name for name, source in SOURCES.items() if source.files(upstream[source.stage])]
+
+
+def parts_of(name: str, results: Results, store: Store, *, only: Mapping[str, Any]) -> Iterator[pa.Table]:
+    """Yield the rows of a table, one Arrow table for each chain.
+
+    Args:
+        name: name of the table.
+        results: what the store holds of the table's stage.
+        store: where it is.
+        only: values of keys that chains must have, if they have the key.
+    """
+    source = SOURCES[name]
+    for chain, files in source.files(results).items():
+        keys = keys_of(chain)
+        if any(keys.get(key, value) != value for key, value in only.items()):
+            continue
+        decoded = []
+        units: Mapping[str, str] = {}
+        for manifest in files:
+            data, where = store.read(manifest, table_file(source.schema)), f"{name}: {chain.label}"
+            units = units or units_of(data, where)
+            decoded.append(decode_table(data, schema=source.schema, version=source.version, source=where))
+        columns = {column: np.concatenate([part[column] for part in decoded]) for column in decoded[0]}
+        n_rows = len(next(iter(columns.values())))
+        rows = {**{key: np.full(n_rows, value) for key, value in keys.items()}, **columns}
+        yield _arrow_table(rows, units, described(ANALYSES[name].row) if name in ANALYSES else {})
+
+
+def keys_of(chain: ChainId) -> dict[str, Any]:
+    """Return what a chain says of all its rows: the keys that it has, the number of a member, or the data set."""
+    if isinstance(chain, TrialId):
+        return {"environment": chain.environment, "depth": chain.depth, "trial": chain.index}
+    if isinstance(chain, PartId) and chain.arm is not None:
+        return {"environment": chain.arm.environment, "depth": chain.arm.depth}
+    if isinstance(chain, AssessmentId):
+        return {**keys_of(chain.trial), "data_set": chain.data_set.words}
+    if isinstance(chain, NetworkId):
+        return {"member": chain.index, "data_set": chain.data_set.words}
+    return {"data_set": chain.data_set.words} if isinstance(chain, ChunkId | PilotId) else {}
+
+
+def _arrow_table(
+    columns: Mapping[str, Array], units: Mapping[str, str], about: Mapping[str, Mapping[str, Any]]
+) -> pa.Table:
+    """Make a table whose first columns are the keys; null where the columns do not have them."""
+    left, n_rows = dict(columns), len(next(iter(columns.values())))
+    arrays: dict[str, pa.Array] = {}
+    for key, kind in KEYS.items():
+        arrays[key] = _arrow_array(left.pop(key)).cast(kind) if key in left else pa.nulls(n_rows, kind)
+    if "operator" in left and left["operator"].dtype.kind != "U":
+        left["operator"] = np.array(OPERATORS)[left["operator"]]  # codes in histories
+    arrays |= {name: _arrow_array(column) for name, column in left.items()}
+    fields = []
+    for name, array in arrays.items():
+        says = {word: about.get(name, {}).get(word, "") for word in ("label", "meaning")}
+        metadata = {"unit": {**units, **_UNITS}.get(name, ""), **{word: text for word, text in says.items() if text}}
+        fields.append(pa.field(name, array.type, metadata=metadata))
+    return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))
+
+
+def _arrow_array(column: Array) -> pa.Array:
+    """Convert a column; several numbers per row become a list, because their number may differ between arms."""
+    if column.ndim == 1:
+        return pa.array(column.tolist(), pa.string()) if column.dtype.kind == "U" else pa.array(column)
+    n_rows, width = column.shape
+    return pa.ListArray.from_arrays(np.arange(n_rows + 1, dtype=np.int32) * width, pa.array(column.reshape(-1)))

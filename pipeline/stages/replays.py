@@ -1,0 +1,214 @@
+"""Replays of champions: every one in True Slush, and the best of each arm where it evolved, too."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
+from pipeline.report.page import robot_address
+from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
+from pipeline.stages import environments
+from pipeline.stages.data_sets import NetworkId
+from pipeline.stages.environments import SimulationSpec
+from pipeline.stages.study_data import StudyFiles
+from pipeline.workflow.identity import Arm, arms_of
+from pipeline.workflow.stage import Inputs
+from tasks.analysis.filmed import NO_MEMBER, Filmed, film_best, film_in_true_slush
+from tasks.analysis.hallucination import acceleration, disagreement, link_states
+from tasks.analysis.novelty import novelty, thrown
+from tasks.analysis.registry import Champion
+from tasks.analysis.tables.filmed_links import FilmedLink
+from tasks.arrays import Float64, Floats
+from tasks.design import Designs
+from tasks.residual import Transitions
+from tasks.simulation import OK, simulate
+from tasks.world import ENVIRONMENTS, DryLand, EnvironmentName, Medium
+
+_OVERLAYS = (
+    ("disagreement", "disagreement of the members", "m/s²", 0.0),
+    ("novelty", "distance from the throws", "× typical", 1.0),
+)
+"""Column of the table of links, label on the page, unit, and lower bound on the value of the darkest colour: a state
+within the usual distance is not novel."""
+_MOST_SECONDS_IN_TANK = 60.0  # limit on the replays of the tank [s]
+
+Links = Mapping[tuple[str, float, str], Sequence[FilmedLink]]  # by where they evolved, depth, and where they are seen
+
+
+def arms_with_champions(study: StudyFiles) -> list[list[Champion]]:
+    """Return the champions of each arm that has some, the deepest first."""
+    by_arm = {(arm.environment, arm.depth): list[Champion]() for arm in arms_of(study.spec.trials)}
+    for champion in study.champions:
+        by_arm[champion.environment, champion.depth].append(champion)
+    return sorted((own for own in by_arm.values() if own), key=lambda own: -own[0].depth)
+
+
+def replays_of(study: StudyFiles, links: Links) -> list[Replay]:
+    """Return replays of every champion in True Slush, the best of each arm first, and also where it evolved.
+
+    Args:
+        study: scores, and every network or none.
+        links: measurements along the films of the best.
+    """
+    replays: list[Replay] = []
+    for own in arms_with_champions(study):
+        can_go_home = study.has_networks or own[0].environment not in RESIDUAL_ENVIRONMENTS
+        films = film_best(study, own) if can_go_home else []
+        best = {id(film.champion) for film in films if film.seen_in == "true_slush"}
+        scored = np.array([champion.zero_shot for champion in own])
+        mean = float(np.nanmean(scored)) if np.isfinite(scored).any() else np.nan
+        for film in films:
+            if np.isfinite(film.trace).all():
+                overlays = _overlays(study, film, links)
+                replays.append(replace(_replay(study, film, overlays), best=True, arm_mean=mean))
+        rest = [champion for champion in own if id(champion) not in best]
+        others = film_in_true_slush(study, sorted(rest, key=lambda champion: -champion.zero_shot))
+        replays += [_replay(study, film, pushed=False) for film in others]
+    return replays
+
+
+def best_replays(study: StudyFiles) -> list[Replay]:
+    """Return replays in True Slush of the best champion of every arm, for the film of the first screen."""
+    return [replay for replay in replays_of(study, {}) if replay.best and replay.in_true_slush]
+
+
+def _replay(study: StudyFiles, film: Filmed, overlays: tuple[Overlay, ...] = (), *, pushed: bool = True) -> Replay:
+    """Return the replay of a film; the push of the slush, which takes much of a page, is optional."""
+    champion = film.champion
+    style, simulation = ENVIRONMENTS[champion.environment], study.spec.simulation
+    networks = environments.networks_among(study.inputs)
+    network = NetworkId(study.data_set(champion), film.member) if networks else None
+    arm = Arm(film.seen_in, champion.depth)
+    push = push_of(simulation, arm, film.member, champion.design, film.trace, networks, network) if pushed else None
+    label = "Residual Slush" if film.seen_in in RESIDUAL_ENVIRONMENTS else ENVIRONMENTS[film.seen_in].label
+    replay = replay_of(
+        champion.design,
+        film.trace[0],
+        title=f"{style.label}, trial {champion.trial}",
+        environment=champion.environment,
+        seen_in=label if film.member == NO_MEMBER else f"{label} (member {film.member})",
+        depth=champion.depth,
+        surroundings=surroundings_in(film.seen_in),
+        n_settle=study.n_settle,
+        time_step=simulation.physics.time_step,
+        overlays=overlays,
+        push=push,
+    )
+    address = robot_address(champion.environment, champion.depth, champion.trial)
+    return replace(replay, robot=address, group=f"{style.label}, {champion.depth:g} m")
+
+
+def surroundings_in(environment: EnvironmentName) -> Surroundings:
+    """Return what fills an environment."""
+    if environment in RESIDUAL_ENVIRONMENTS:
+        return "hallucinated slush"
+    known: dict[str, Surroundings] = {"dry_land": "air", "true_slush": "true slush"}
+    return known.get(environment, "another medium")
+
+
+def _overlays(study: StudyFiles, film: Filmed, links: Links) -> tuple[Overlay, ...]:
+    """Arrange the measurements along a film."""
+    rows = links.get((film.champion.environment, film.champion.depth, film.seen_in), ())
+    if not rows or rows[0].trial != film.champion.trial:
+        return ()
+    values = {name: np.array([getattr(row, name) for row in rows], dtype=np.float64) for name, *_ in _OVERLAYS}
+    return _overlaid([values[name].reshape(-1, film.trace.shape[2]) for name, *_ in _OVERLAYS], study.n_settle)
+
+
+def _overlaid(values: Sequence[Floats], n_settle: int) -> tuple[Overlay, ...]:
+    return tuple(
+        Overlay(label, unit, at_frames(of_links, n_settle), least)
+        for (_, label, unit, least), of_links in zip(_OVERLAYS, values, strict=True)
+        if np.isfinite(of_links).any()
+    )
+
+
+def looked_at(
+    simulation: SimulationSpec, design: Designs, trace: Floats, inputs: Inputs, learned: Transitions
+) -> tuple[Overlay, ...]:
+    """Return disagreement and novelty along one rollout of any design, where they are known.
+
+    Args:
+        simulation: physics and rollout.
+        design: a single design.
+        trace: (1, n_steps, n_links, 6)
+        inputs: every member.
+        learned: throws that they learned from.
+    """
+    physics = simulation.physics
+    magnitude = disagreement(design, trace, environments.ensemble_of(inputs), physics)[0]
+    new = novelty(link_states(design, trace, physics), thrown(learned.observation, learned.throw))[0]
+    return _overlaid([magnitude, new], simulation.rollout.n_settle)
+
+
+def push_of(
+    simulation: SimulationSpec,
+    arm: Arm,
+    member: int,
+    design: Designs,
+    trace: Floats,
+    networks: Inputs,
+    network: NetworkId | None,
+) -> Float64 | None:
+    """Return the acceleration of each link by the medium, (n_frames, n_links, 2) [m/s²]; None where there is none.
+
+    Args:
+        simulation: physics, rollout, and the environment's medium.
+        arm: the environment and its depth.
+        member: number of the member of an ensemble, or NO_MEMBER.
+        design: a single design.
+        trace: (1, n_steps, n_links, 6)
+        networks: files of the networks.
+        network: the one that predicts the medium, if one does.
+    """
+    medium: Medium | None
+    if arm.environment in RESIDUAL_ENVIRONMENTS:
+        assert network is not None
+        medium = environments.ensemble_of(environments.network_among(networks, network))
+    else:
+        environment = environments.build_environment(simulation.media, arm.environment, arm.depth, {})
+        medium = environment.components[max(member, 0)].medium
+    if medium is None:
+        return None
+    change = acceleration(medium, link_states(design, trace, simulation.physics), simulation.physics)
+    return at_frames(change[0, ..., :2], simulation.rollout.n_settle)
+
+
+def tank_replays(settings: Settings, champion: Champion, engine: Any) -> list[Replay]:
+    """Return replays of a proposed champion in the tank and on its dry floor, without those that diverged."""
+    assert settings.tank is not None
+    tank, n_settle, time_step = settings.tank, settings.rollout.n_settle, settings.physics.time_step
+    replays = []
+    media = environments.media_of(settings, "true_slush")
+    for surrounding, words in (
+        (environments.true_slush(media, tank.simulated_depth), "the tank"),
+        (DryLand(depth=0.0), "the drained tank"),
+    ):
+        rollouts = simulate(
+            champion.design,
+            surrounding,
+            n_settle=n_settle,
+            n_measure=min(tank.n_steps(time_step), round(_MOST_SECONDS_IN_TANK / time_step)),
+            engine=engine,
+            trace=True,
+            physics=settings.physics,
+        )
+        if rollouts.status[0] == OK:
+            assert rollouts.trace is not None
+            evolved = ENVIRONMENTS[champion.environment].evolved
+            replays.append(
+                replay_of(
+                    champion.design,
+                    rollouts.trace[0],
+                    title=f"To build: evolved {evolved}, trial {champion.trial}, in {words}",
+                    environment="",
+                    seen_in=words,
+                    depth=round(surrounding.depth, 2),
+                    surroundings="air" if surrounding.medium is None else "true slush",
+                    n_settle=n_settle,
+                    time_step=time_step,
+                )
+            )
+    return replays

@@ -1,0 +1,196 @@
+"""What an analysis is: a function from earlier results to the rows of a table, registered under the table's name.
+
+An analysis is one file in ``tasks/analysis/tables``. From its registration follow the work items that compute it, the
+Parquet file, ``study.table(name)``, the CSV, MLflow's artifact, and the table on the page. Its columns are the fields
+of a frozen dataclass, described here and nowhere else::
+
+    @dataclass(frozen=True)
+    class Reach:
+        environment: str = column("evolved in")
+        depth: float = column("depth", "m", form="{:g}")
+        longest: float = column("longest robot", "m", meaning="Greatest extent of a champion at rest.")
+
+    @analysis("reach", reads=("transfer",), answers="How long are the champions?", section="transfer")
+    def reach(study: StudyData) -> list[Reach]: ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from tasks.analysis.scores import ScoredTrial, Scores
+    from tasks.analysis.tank import Tank
+    from tasks.arrays import Float64, Int64
+    from tasks.design import Designs
+    from tasks.evolution import Deviation
+    from tasks.residual import Transitions
+    from tasks.simulation import Rollouts
+    from tasks.world import EnsembleMedium, Environment, Medium, Physics
+
+Form = str | Callable[[Any], str]  # a format, such as "{:.1f}", or a function that writes a value
+Section = Literal["transfer", "paper", "networks", "trust", "tank", "more", ""]
+"""Section of the page that shows a table; in those of "" it is a download alone."""
+
+
+def column(label: str, unit: str = "", *, form: Form = "{:z.1f}", meaning: str = "", shown: bool = True) -> Any:
+    """Describe a column: the field of a row.
+
+    Args:
+        label: heading of the column.
+        unit: of its numbers, such as "m".
+        form: how a number is written for a reader.
+        meaning: a sentence, where the label does not say it all.
+        shown: whether readers see it; otherwise it is in files alone.
+    """
+    return field(metadata={"label": label, "unit": unit, "form": form, "meaning": meaning, "shown": shown})
+
+
+@dataclass(frozen=True, eq=False)
+class Champion:
+    """The champion of a trial, with its displacements [m]; NaN where it diverged."""
+
+    environment: str  # where it evolved
+    depth: float  # [m]
+    trial: int
+    design: Designs
+    fitness: float  # where it evolved, in the objective's unit
+    predicted: float  # displacement where it evolved: for an ensemble the mean over members
+    zero_shot: float  # displacement in True Slush
+
+
+@dataclass(frozen=True, eq=False)
+class Assessed:
+    """Designs drawn from whole runs, simulated in True Slush and under every member of an ensemble."""
+
+    predicted: Float64  # (n_members, n_designs) [m]; NaN where diverged
+    true: Float64  # (n_designs,) [m]; NaN where diverged
+    trial: Sequence[str]  # (n_designs,) the trial of each, which are samples
+    replicate: Int64  # (n_designs,)
+    columns: Mapping[str, Any]  # environment, depth, trial, generation, identity: (n_designs,) each
+
+
+class StudyData(Protocol):
+    """What an analysis may use: settings, and the results of the stages that it reads, for the trials of its item."""
+
+    @property
+    def depths(self) -> Sequence[float]:
+        """Depths of the grid [m]."""
+
+    @property
+    def assessed_depth(self) -> float:
+        """Depth at which designs are assessed [m]."""
+
+    @property
+    def throw_groups(self) -> Sequence[str]:
+        """Settings groups of throws that ensembles learned from, the main one first."""
+
+    @property
+    def deviation(self) -> Deviation:
+        """What σ over members is."""
+
+    @property
+    def tank(self) -> Tank | None:
+        """The virtual tank, if the study has one."""
+
+    @property
+    def physics(self) -> Physics:
+        """Constants of the base simulator."""
+
+    @property
+    def n_settle(self) -> int:
+        """Steps of a rollout before displacement is measured."""
+
+    @property
+    def trials(self) -> Sequence[ScoredTrial]:
+        """Every trial, with what is known of it."""
+
+    @property
+    def scores(self) -> Scores:
+        """The displacements of the trials, as columns."""
+
+    @property
+    def champions(self) -> Sequence[Champion]:
+        """The champions that there are, in the order of the trials."""
+
+    def assessed(self, group: str) -> Assessed | None:
+        """Return the designs that the ensemble of a group of throws was assessed with, if any."""
+
+    def true_slush(self, depth: float) -> Environment:
+        """Return True Slush at a depth [m]."""
+
+    def true_medium(self) -> Medium:
+        """Return its medium."""
+
+    def home(self, champion: Champion) -> Environment:
+        """Return where a champion evolved; the same object for champions that share it."""
+
+    def member(self, champion: Champion) -> int:
+        """Return the number of the network that a champion evolved in; -1 if that was none, or an ensemble."""
+
+    def ensemble(self, champion: Champion | None = None) -> EnsembleMedium:
+        """Return the ensemble that serves a champion, by default the main one; the same object for all it serves."""
+
+    def throws(self, champion: Champion | None = None) -> tuple[Transitions, Transitions]:
+        """Return the throws that this ensemble learned from, and those that were held out."""
+
+    def simulate(
+        self,
+        environment: Environment,
+        designs: Designs,
+        *,
+        trace: bool = False,
+        physics: Physics | None = None,
+        n_measure: int | None = None,
+    ) -> Rollouts:
+        """Simulate designs as the study does, unless physics or the number of steps are given."""
+
+    def rng(self, *identity: str | float) -> Generator:
+        """Return a generator that the study's seed and what it is for decide."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """A registered table."""
+
+    name: str
+    row: type  # dataclass of its rows
+    compute: Callable[[StudyData], Sequence[Any]]
+    reads: tuple[str, ...]  # names of the stages whose results it needs
+    answers: str  # the question that the table answers
+    section: Section = ""
+    each: Literal["study", "arm"] = "study"  # what one work item covers
+    version: int = 1  # raised when the same results would give other rows than before
+    shown: Callable[[Any], bool] = lambda row: True  # rows that the page shows
+    metrics: Callable[[Sequence[Any]], Mapping[str, float | None]] = lambda rows: {}  # by which MLflow compares studies
+    needs_tank: bool = False  # whether it is about the virtual tank, which few studies have
+    cost: float = 1.0  # about how many rollouts of a champion it takes
+
+
+_registered: dict[str, Analysis] = {}
+
+ANALYSES: Mapping[str, Analysis] = MappingProxyType(_registered)
+"""Every analysis by name. Complete once ``tasks.analysis.tables`` is imported."""
+
+
+def analysis(
+    name: str, *, row: type, reads: tuple[str, ...], answers: str, **options: Any
+) -> Callable[[Callable[[StudyData], Sequence[Any]]], Callable[[StudyData], Sequence[Any]]]:
+    """Register the function below as the analysis that makes a table; see :class:`Analysis`.
+
+    Raises:
+        ValueError: the name is taken.
+    """
+    if name in _registered:
+        raise ValueError(f"analysis {name!r} is registered twice, expected a name of its own")
+
+    def register(compute: Callable[[StudyData], Sequence[Any]]) -> Callable[[StudyData], Sequence[Any]]:
+        _registered[name] = Analysis(name, row, compute, reads, answers, **options)
+        return compute
+
+    return register

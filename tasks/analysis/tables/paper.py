@@ -1,0 +1,225 @@
+"""A run's comparison with the paper's results, number by number and statement by statement.
+
+- A number agrees if the difference from the paper's is shown to be negligible. The interval of the difference is this
+  run's 95 % interval widened by √(1 + n / n_paper), because the paper's number comes from a sample too: variances add
+  and are proportional to 1/n, where n counts trials. The paper's deviation, which it does not give, is taken to be this
+  run's. The paper has one data set and one ensemble: where this run has several, its variance between them counts in
+  full for the paper.
+- The statement that single members vary more agrees if the whole interval of the ratio is above 1. Deviations are from
+  the replicate's mean, because the paper has one replicate.
+- A range over members agrees if it contains the interval of this run's median member.
+- "No difference" agrees if the difference of the means is shown to be negligible, a fifth of the displacement of the
+  designs evolved in True Slush. "Less" and "greater" agree if the whole interval of the difference has that direction.
+  All statements are one family, judged by Holm's step-down procedure: with n not yet decided, each by an interval of
+  1 - 0.05 / n, until no other is decided (Shaffer 1980). A row has the interval that judged it.
+
+Numbers that this run did not measure have no row.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.random import Generator
+
+from tasks.analysis import paper as stated
+from tasks.analysis.comparison import VERDICTS, Verdict, difference, judge, p_value
+from tasks.analysis.estimates import (
+    LEVEL,
+    RESOLUTION,
+    Estimate,
+    Sample,
+    bootstrap,
+    components,
+    error_of,
+    from_replicates_means,
+    is_constant,
+    is_nested,
+    linearised,
+    ratio,
+    sum_of_means,
+)
+from tasks.analysis.paper import DEPTH, N_ASSESSED, N_TRIALS, Figure, Statement
+from tasks.analysis.registry import StudyData, analysis, column
+from tasks.analysis.scores import BEST, Scores, arm_name
+from tasks.analysis.tables.regressions import Accuracy, accuracy_of
+from tasks.arrays import Float64
+
+_FIGURE: Mapping[Figure, str] = {"r": "Pearson's R", "slope": "slope"}
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """A result of the paper, and what this run has in its place."""
+
+    kind: Literal["number", "t test"] = column("kind", form="{}", shown=False)
+    what: str = column("what", form="{}")
+    paper: str = column("paper", form="{}")
+    this_run: str = column("this run (95 %)", form="{}")
+    decides: str = column("decides", form="{}", meaning="The interval that decides, and the bounds of what agrees.")
+    verdict: Verdict = column("verdict", form="{}")
+    value: Estimate = column("value", form="{:z.3g}", shown=False, meaning="This run's, in the unit of what.")
+    p: float | None = column("p", form=p_value, shown=False, meaning="Of Student's t test, as in the paper.")
+    source: str = column("source", form="{}", shown=False, meaning="Quotation and section of the paper.")
+
+
+def written(found: Estimate, form: str) -> str:
+    """Write an estimate with its interval in brackets."""
+    value = "–" if found.value is None else form.format(found.value)
+    return value if found.interval is None else f"{value} ({_interval(found, form)})"
+
+
+def _interval(found: Estimate, form: str) -> str:
+    return " to ".join(form.format(end) for end in found.interval or ())
+
+
+def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
+    counts = Counter(row.verdict for row in rows)
+    return {f"paper.n_{verdict.replace(' ', '_')}": float(counts[verdict]) for verdict in VERDICTS}
+
+
+@analysis(
+    "paper",
+    row=PaperRow,
+    reads=("transfer", "assess"),
+    answers="Which results of the paper does this run confirm?",
+    section="paper",
+    shown=lambda row: row.kind == "number",
+    metrics=_metrics,
+)
+def paper(study: StudyData) -> list[PaperRow]:
+    """Compare every number and statement of the paper that this run measured."""
+    scores, rng = study.scores, study.rng("paper")
+    accuracy = (
+        accuracy_of(study, study.throw_groups[0]) if study.assessed_depth == DEPTH and study.throw_groups else None
+    )
+    numbers = [*_means(scores), *_ratios(scores, rng), *_variation(scores, rng)]
+    return [*numbers, *(_figures(accuracy) if accuracy else ()), *_statements(scores)]
+
+
+def _means(scores: Scores) -> Iterator[PaperRow]:
+    for arm, (value, source) in stated.MEANS.items():
+        sample = scores.sample(arm, DEPTH)
+        bound, n = stated.NEGLIGIBLE * stated.MEANS[BEST][0], len(sample)
+        found, n_paper = sum_of_means(sample), _papers_trials(n, sample)
+        yield from _number(f"{arm_name(arm)} at {DEPTH:g} m [m]", value, "{:z.1f}", source, found, bound, n, n_paper)
+
+
+def _ratios(scores: Scores, rng: Generator) -> Iterator[PaperRow]:
+    for arm, (value, source) in stated.RATIOS.items():
+        part, whole = scores.sample(arm, DEPTH), scores.sample(BEST, DEPTH)
+        found, n, n_paper = ratio(part, whole, rng=rng), min(len(part), len(whole)), float(N_TRIALS)
+        if found.interval is not None:
+            n_paper = _papers_trials(n, *linearised(part, whole))
+        what = f"{arm_name(arm)} / {arm_name(BEST)} at {DEPTH:g} m"
+        yield from _number(what, value, "{:z.0%}", source, found, stated.NEGLIGIBLE_RATIO, n, n_paper)
+
+
+def _variation(scores: Scores, rng: Generator) -> Iterator[PaperRow]:
+    """Compare the deviation over trials of single members with that of the ensemble."""
+    single, ensemble = (scores.sample((arm, "zero_shot"), DEPTH) for arm in ("single_member", "residual_slush"))
+    free = [len(sample) - sample.n_replicates for sample in (single, ensemble)]
+    departures = [from_replicates_means(sample) for sample in (single, ensemble)]
+    if min(free) < 1 or is_constant(departures[1], resolution=RESOLUTION):
+        return
+    corrections = [len(x) / n_free for x, n_free in zip(departures, free, strict=True)]
+
+    def deviations_ratio(*means: Float64) -> Float64:  # functions of the means of x and x²
+        x, y = (c * (m[..., 1] - m[..., 0] ** 2) for c, m in zip(corrections, means, strict=True))
+        return np.sqrt(x / np.where(y > 0, y, np.nan))[..., None]
+
+    found = bootstrap(deviations_ratio, *(np.stack((x, x**2), axis=1) for x in departures), rng=rng)[0]
+    verdict = judge(found, 1.0, math.inf) if found.interval else "cannot tell"
+    what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
+    source = '"very high variation in fitness across independent trials", Evolution'
+    this_run = written(found, "{:z.2f}")
+    yield PaperRow("number", what, "above 1", this_run, "the interval, above 1", verdict, found, None, source)
+
+
+def _papers_trials(n: int, *samples: Sample) -> float:
+    """Return the number of trials for which the paper's variance is this run's times n / n_paper.
+
+    Args:
+        n: this run's trials.
+        *samples: their values; this run's estimate is the sum of the means.
+    """
+    if not is_nested(*samples):
+        return N_TRIALS
+    of_paper = sum(components(sample).of_one_replicate(N_TRIALS, sample.n_replicates) for sample in samples)
+    return n * error_of(*samples).variance / of_paper
+
+
+def _figures(accuracy: Accuracy) -> Iterator[PaperRow]:
+    """Compare the ranges of R and slope over the members, and those of the aggregates."""
+    for figure, (low, high, source) in stated.RANGES.items():
+        lowest, median, highest = accuracy.ranges[figure]
+        if lowest.value is None or highest.value is None or median.value is None:
+            continue
+        form = "{:z.2f}"
+        this_run = f"{form.format(lowest.value)} to {form.format(highest.value)}"
+        within = f"{form.format(low)} to {form.format(high)}"
+        decides = f"median member {written(median, form)}, within {within}"
+        what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
+        yield PaperRow("number", what, within, this_run, decides, judge(median, low, high), median, None, source)
+    for (predictor, figure), (value, source) in stated.AGGREGATES.items():
+        for row in accuracy.regressions:
+            if row.name == predictor:
+                what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
+                found, bound = getattr(row, figure), stated.NEGLIGIBLE_FIGURE[figure]
+                n_paper = N_ASSESSED / row.n_replicates  # of N replicates, the mean has at least 1/N the variance
+                yield from _number(what, value, "{:z.2f}", source, found, bound, row.n_resampled, n_paper)
+
+
+def _number(
+    what: str, value: float, form: str, source: str, found: Estimate, bound: float, n: int, n_paper: float
+) -> Iterator[PaperRow]:
+    """Judge the difference between this run's number and the paper's."""
+    if found.value is None:
+        return
+    off, wider = found.value - value, math.sqrt(1 + n / n_paper)
+    gap = Estimate(off)
+    if found.interval is not None:
+        low, high = (off + wider * (end - found.value) for end in found.interval)
+        gap = Estimate(off, low, high)
+    decides = f"difference {written(gap, form)}, within ± {form.format(bound)}"
+    verdict = judge(gap, -bound, bound)
+    yield PaperRow("number", what, form.format(value), written(found, form), decides, verdict, found, None, source)
+
+
+def _statements(scores: Scores) -> list[PaperRow]:
+    """Judge all statements by Holm's step-down procedure."""
+    pending = [
+        (statement, depth)
+        for statement in stated.STATEMENTS
+        for depth in statement.depths
+        if min(len(scores.sample(arm, depth)) for arm in (statement.a, statement.b)) > 1
+    ]
+    order, decided = list(pending), dict[tuple[Statement, float], PaperRow]()
+    while pending:
+        level = 1 - (1 - LEVEL) / len(pending)
+        judged = {key: _statement(scores, *key, level) for key in pending}
+        found = {key: row for key, row in judged.items() if row.verdict != "cannot tell"}
+        decided |= found or judged
+        pending = [key for key in pending if key not in decided]
+    return [decided[key] for key in order]
+
+
+def _statement(scores: Scores, statement: Statement, depth: float, level: float) -> PaperRow:
+    a, b = (scores.sample(arm, depth) for arm in (statement.a, statement.b))
+    gap, p = difference(a, b, equal_variances=True, level=level)
+    best = scores.sample(BEST, depth)
+    bound = stated.NEGLIGIBLE * abs(float((best if len(best) else b).values.mean()))
+    verdict = judge(gap, -bound, bound)
+    if statement.claim != "no difference":
+        sign = 1 if statement.claim == "greater" else -1
+        ends = sorted(sign * end for end in gap.interval or (-math.inf, math.inf))
+        verdict = "agrees" if ends[0] > 0 else "differs" if ends[1] < 0 or verdict == "agrees" else "cannot tell"
+    equal, form = statement.claim == "no difference", "{:z.1f}"
+    claim = f"{statement.claim} (p {'>' if equal else '<'} {stated.INSIGNIFICANT if equal else stated.SIGNIFICANT:g})"
+    this_run = f"n = {len(a)} and {len(b)}" + ("" if p is None else f", p = {p:.2g}")
+    decides = f"difference {written(gap, form)} at {level:.1%}, negligible within ± {form.format(bound)}"
+    what = f"{arm_name(statement.a)} against {arm_name(statement.b)} at {depth:g} m [m]"
+    return PaperRow("t test", what, claim, this_run, decides, verdict, gap, p, statement.source)

@@ -1,0 +1,173 @@
+"""Accuracy of the ensembles. Paper, "Prediction Accuracy" and Fig. 3.
+
+Displacement in True Slush is regressed on the prediction of each member, on their mean μ, and on μ - σ. A slope below 1
+means that predictions are too optimistic, a low R that they rank designs badly. Designs of one trial descend from each
+other, so the intervals come from resampling whole trials. Trials of several replicates are predicted by different
+ensembles; their intervals are by pseudo-values, those of R on Fisher's scale, where R is nearly normal.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, is_constant, of_means
+from tasks.analysis.paper import Figure
+from tasks.analysis.registry import Assessed, StudyData, analysis, column
+from tasks.arrays import Bools, Float64, Int64
+from tasks.evolution import Deviation, penalised_mean
+from tasks.world import ENVIRONMENTS
+
+MEAN, CAUTIOUS = "mean", "mean - 1 sd"  # the paper's two aggregates, μ and μ − σ
+_METRICS = {CAUTIOUS: "mean_less_1_sd"}
+_MIN_DESIGNS = 3  # any two points lie on a line
+_HIGHEST_R = 1 - 1e-12  # of Fisher's transformation, which is infinite at 1
+
+
+def ensemble_name(group: str) -> str:
+    """Name the ensemble that learned from a group of throws."""
+    return next(
+        (kind.label for kind in ENVIRONMENTS.values() if (kind.networks, kind.learns_from) == ("all", group)), group
+    )
+
+
+@dataclass(frozen=True)
+class Regression:
+    """True displacement = intercept + slope · predicted displacement, over designs that diverged in neither."""
+
+    learned_from: str = column("ensemble", form=ensemble_name, meaning="Settings group of the throws it learned from.")
+    name: str = column("predictor", form="{}", meaning="A member, their mean μ, or μ less a deviation over members.")
+    n: int = column("designs", form="{:,}")
+    n_left_out: int = column("left out", form="{:,}", shown=False, meaning="Designs that diverged in either.")
+    n_resampled: int = column("trials", form="{}", shown=False, meaning="What the intervals count as samples.")
+    n_replicates: int = column("replicates", form="{}", shown=False)
+    r: Estimate = column("R", form="{:z.2f}", meaning="Pearson's correlation.")
+    slope: Estimate = column("slope", form="{:z.2f}", meaning="Below 1, predictions are too optimistic.")
+    intercept: Estimate = column("intercept", "m", form="{:z.2f}", shown=False)
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The regressions of an ensemble, and the lowest, median and highest figure over its members."""
+
+    regressions: Sequence[Regression]
+    ranges: Mapping[Figure, tuple[Estimate, Estimate, Estimate]]
+
+
+def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
+    """Return R and slope of the main ensemble."""
+    main = [row for row in rows if row.learned_from == rows[0].learned_from]
+    return {
+        f"accuracy.{figure}.{_METRICS.get(row.name, row.name.replace(' ', '-'))}": getattr(row, figure).value
+        for row in main
+        for figure in ("r", "slope")
+    }
+
+
+@analysis(
+    "regressions",
+    row=Regression,
+    reads=("assess",),
+    answers="How well do the networks predict where designs get?",
+    section="networks",
+    shown=lambda row: row.name in (MEAN, CAUTIOUS),
+    metrics=_metrics,
+)
+def regressions(study: StudyData) -> list[Regression]:
+    """Assess the ensembles of all groups of throws."""
+    found = (accuracy_of(study, group) for group in study.throw_groups)
+    return [row for one in found if one is not None for row in one.regressions]
+
+
+def accuracy_of(study: StudyData, group: str) -> Accuracy | None:
+    """Assess the ensemble that learned from a group of throws, if any design was."""
+    assessed = study.assessed(group)
+    return None if assessed is None else accuracy(assessed, group, study.deviation, study.rng("accuracy", group))
+
+
+def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64]:
+    """Return the predictions of each of n_members members, (n_members, n_designs), and their aggregates, by name."""
+    cautious = penalised_mean(predicted.T, disagreement_penalty=1.0, deviation=deviation)
+    return {**{f"member {k}": row for k, row in enumerate(predicted)}, MEAN: predicted.mean(axis=0), CAUTIOUS: cautious}
+
+
+def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.random.Generator) -> Accuracy:
+    """Regress true displacement on every predictor, with intervals from the same resamples."""
+    predictors, y = predictors_of(assessed.predicted, deviation), assessed.true
+    fit = {
+        name: used
+        for name, x in predictors.items()
+        if (used := np.isfinite(x) & np.isfinite(y)).sum() >= _MIN_DESIGNS
+        and not is_constant(x[used], resolution=RESOLUTION)
+    }
+    trials, first, trial = np.unique(assessed.trial, return_index=True, return_inverse=True)
+    moments, lines = [], []
+    for name, used in fit.items():
+        rows, line = _moments(predictors[name], y, used)
+        moments.append(rows)
+        lines.append(line)
+    members = [i for i, name in enumerate(fit) if name.startswith("member ")]
+
+    def figures(means: Float64) -> Float64:
+        """Return R, slope and intercept of each predictor, then the range of each figure over the members."""
+        found = np.stack([line(means[..., 6 * i : 6 * i + 6]) for i, line in enumerate(lines)], axis=-2)
+        ends = [end(found[..., members, :2], axis=-2) for end in (np.min, np.median, np.max)] if members else []
+        return np.concatenate([found.reshape(*found.shape[:-2], -1), *ends], axis=-1)
+
+    estimates: Sequence[Estimate] = ()
+    replicate = assessed.replicate[first]
+    if fit:
+        sums = np.zeros((len(trials), 6 * len(fit)))
+        np.add.at(sums, trial, np.concatenate(moments, axis=1))
+        is_r = np.array(([True, False, False] * len(fit)) + [True, False] * 3 * bool(members))
+        estimates = _estimated(figures, sums, replicate, is_r, rng)
+    of_fit = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(fit)}
+    ranges = estimates[3 * len(fit) :] or (MISSING,) * 6
+    spread = not is_constant(y[np.isfinite(y)], resolution=RESOLUTION)
+    found = []
+    for name, x in predictors.items():
+        r, slope, intercept = of_fit.get(name, (MISSING,) * 3)
+        n = int((np.isfinite(x) & np.isfinite(y)).sum())
+        sizes = n, len(y) - n, len(trials), max(len(np.unique(replicate)), 1)
+        found.append(Regression(group, name, *sizes, r if spread else MISSING, slope, intercept))
+    return Accuracy(found, {"r": tuple(ranges[0::2]), "slope": tuple(ranges[1::2])})  # type: ignore[dict-item]
+
+
+def _moments(x: Float64, y: Float64, used: Bools) -> tuple[Float64, Callable[[Float64], Float64]]:
+    """Return (n_designs, 6) of 1, u, w, u², w², uw, and the line of their means; u, w are x, y centred and scaled.
+
+    Sums of squares then lose no digits, and a resample without spread is recognised.
+    """
+    x0, sx = float(x[used].mean()), float(x[used].std())
+    y0, sy = float(y[used].mean()), float(y[used].std()) or 1.0
+    u, w = np.where(used, (x - x0) / sx, 0.0), np.where(used, (y - y0) / sy, 0.0)
+
+    def line(means: Float64) -> Float64:
+        """Fit least squares to (..., 6) means: (..., 3) Pearson's R, slope, intercept."""
+        share, *sums = np.moveaxis(means, -1, 0)
+        u1, w1, uu, ww, uw = (one / share for one in sums)
+        var_u, var_w = (np.where(v > 1e-20, v, np.nan) for v in (uu - u1 * u1, ww - w1 * w1))
+        slope = (uw - u1 * w1) / var_u * sy / sx
+        r = np.clip((uw - u1 * w1) / np.sqrt(var_u * var_w), -1, 1)
+        return np.stack((r, slope, (y0 + sy * w1) - slope * (x0 + sx * u1)), axis=-1)
+
+    return np.stack((used, u, w, u * u, w * w, u * w), axis=-1), line
+
+
+def _estimated(
+    figures: Callable[[Float64], Float64], rows: Float64, replicate: Int64, is_r: Bools, rng: np.random.Generator
+) -> Sequence[Estimate]:
+    if len(np.unique(replicate)) < 2:
+        return bootstrap(figures, rows, rng=rng)
+
+    def on_fishers_scale(means: Float64) -> Float64:
+        found = figures(means)
+        return np.where(is_r, np.arctanh(np.clip(found, -_HIGHEST_R, _HIGHEST_R)), found)
+
+    found = of_means(on_fishers_scale, rows, replicate)
+    return [_from_fishers_scale(one) if r else one for one, r in zip(found, is_r, strict=True)]
+
+
+def _from_fishers_scale(found: Estimate) -> Estimate:
+    return Estimate(*(None if end is None else math.tanh(end) for end in (found.value, found.low, found.high)))

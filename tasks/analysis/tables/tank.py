@@ -1,0 +1,122 @@
+"""The robot to build: champions in the virtual tank, filled and drained. Paper, "Physical Validation"."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.analysis.registry import StudyData, analysis, column
+from tasks.analysis.tables.transfer import environment_name
+from tasks.analysis.tank import Crossing, Tank, TankTrials, count_crossings, crossings, nearest_the_mean, restarted
+from tasks.design import Designs
+from tasks.design.genes import concatenate
+from tasks.world import DryLand, Environment, Physics
+
+_TRIALS_AT_ONCE = 16  # trials whose traces are in memory at the same time: 35,000 steps of one are 5 MB
+
+
+def written_trials(trials: TankTrials) -> str:
+    """Write how often a robot crossed, in brackets at the simulation's frequencies, and how often it stayed."""
+    crossed = f"crosses {trials.n_crossed} of {trials.n} ({trials.n_crossed_at_kept_frequencies})"
+    return f"{crossed}, immobile {trials.n_immobile}"
+
+
+@dataclass(frozen=True)
+class TankRow:
+    """A champion in the virtual tank; crossings are in units of the simulation, of the first trial."""
+
+    environment: str = column("evolved in", form=environment_name)
+    depth: float = column("depth", "m", form="{:g}")
+    trial: int = column("trial", form="{}")
+    proposed: bool = column("to build", form=lambda chosen: "✓" if chosen else "", meaning="Nearest to the mean.")
+    zero_shot: float | None = column("True Slush", "m", meaning="Displacement of its root, at its own depth.")
+    dry_land: float | None = column("Dry Land", "m", meaning="The same on Dry Land, for as long.")
+    length_cm: float | None = column("length", "cm", form="{:.0f}", meaning="As built, settled in the filled tank.")
+    height_cm: float | None = column("height", "cm", form="{:.0f}")
+    misfit: str = column("fit", form=lambda why: why or "fits", meaning="Why it does not fit into the tank.")
+    speed_mm_s: float | None = column("speed", "mm/s", form="{:z.0f}", meaning="As built, in the first trial.")
+    motor_torque: float = column("torque", "N·m", shown=False, meaning="Limit of the motors in the simulation.")
+    servo_torque: float = column("servo's torque", "N·m", shown=False, meaning="At the scale of the simulation.")
+    wet: Crossing = column("filled", shown=False)
+    dry: Crossing = column("dry floor", shown=False)
+    dry_servo: Crossing = column("dry floor, servo's torque", shown=False)
+    wet_trials: TankTrials = column("in the tank", form=written_trials)
+    dry_trials: TankTrials = column("on the dry floor", form=written_trials)
+    dry_servo_trials: TankTrials = column("with the servo's torque", form=written_trials)
+
+
+def _metrics(rows: Sequence[TankRow]) -> dict[str, float | None]:
+    found: dict[str, float | None] = {}
+    for row in rows:
+        if row.proposed:
+            prefix = f"tank.{row.environment}.{row.depth:g}m.proposed"
+            found[f"{prefix}.zero_shot"] = row.zero_shot
+            found[f"{prefix}.wet_share_crossed"] = row.wet_trials.n_crossed / row.wet_trials.n
+            found[f"{prefix}.dry_servo_share_immobile"] = row.dry_servo_trials.n_immobile / row.dry_servo_trials.n
+    return found
+
+
+@analysis(
+    "tank",
+    row=TankRow,
+    reads=("transfer",),
+    answers="Which robot is worth building, and would it cross the tank?",
+    section="tank",
+    each="arm",
+    needs_tank=True,
+    metrics=_metrics,
+    cost=200,
+)
+def tank(study: StudyData) -> list[TankRow]:
+    """Simulate the champions of one arm on Dry Land and in the tank, and propose one of them for building."""
+    champions, tank, physics = study.champions, study.tank, study.physics
+    if tank is None or not champions:
+        return []
+    chosen = nearest_the_mean(np.array([champion.zero_shot for champion in champions]))
+    designs = concatenate([champion.design for champion in champions])
+    on_land = study.simulate(DryLand(depth=champions[0].depth), designs).displacement
+    servo_torque = tank.simulated_servo_torque(physics.link_density)
+    with_servo = physics.model_copy(update={"max_motor_torque": servo_torque})
+    filled, drained = study.true_slush(tank.simulated_depth), DryLand(depth=0.0)
+    tests: tuple[tuple[Environment, Physics], ...] = ((filled, physics), (drained, physics), (drained, with_servo))
+    rows = []
+    for i, champion in enumerate(champions):
+        rng = study.rng("tank", champion.environment, champion.depth, champion.trial)
+        tries = restarted(champion.design, tank.n_trials, rng)
+        found = [_in_tank(study, tank, at, under, tries) for at, under in tests]
+        wet = found[0][0]
+        rows.append(
+            TankRow(
+                champion.environment,
+                champion.depth,
+                champion.trial,
+                i == chosen,
+                _known(champion.zero_shot),
+                _known(on_land[i]),
+                _known(100 * tank.scale * wet.length),
+                _known(100 * tank.scale * wet.height),
+                wet.misfit or found[1][0].misfit,
+                _known(1000 * tank.built_speed(wet.speed)),
+                physics.max_motor_torque,
+                servo_torque,
+                found[0][0],
+                found[1][0],
+                found[2][0],
+                *(count_crossings(trials, tank) for trials in found),
+            )
+        )
+    return rows
+
+
+def _in_tank(study: StudyData, tank: Tank, at: Environment, under: Physics, tries: Designs) -> list[Crossing]:
+    """Simulate the trials of a robot in the tank."""
+    n_steps, found = tank.n_steps(under.time_step), list[Crossing]()
+    for first in range(0, len(tries), _TRIALS_AT_ONCE):
+        designs = tries[first : first + _TRIALS_AT_ONCE]
+        rollouts = study.simulate(at, designs, trace=True, physics=under, n_measure=n_steps)
+        found += crossings(designs, rollouts, tank, n_settle=study.n_settle, time_step=under.time_step)
+    return found
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,135 @@
+"""Prediction accuracy: regressions on members and aggregates, their intervals, and ranges over members."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tasks.analysis.estimates import MISSING
+from tasks.analysis.registry import ANALYSES, Assessed
+from tasks.analysis.tables.regressions import accuracy, predictors_of, regressions
+
+
+def assess(predicted, true, trial=None, replicate=None, seed=0):
+    predicted, true = np.atleast_2d(np.asarray(predicted, float)), np.asarray(true, float)
+    trial = [str(k) for k in (np.arange(len(true)) if trial is None else trial)]
+    replicate = np.zeros(len(true), int) if replicate is None else replicate
+    assessed = Assessed(predicted, true, trial, replicate, {})
+    return accuracy(assessed, "throws", "population", np.random.default_rng(seed))
+
+
+def one(predicted, true, **options):
+    return assess(predicted, true, **options).regressions[0]
+
+
+def noisy(n, slope, noise, seed=1):
+    draw = np.random.default_rng(seed)
+    x = draw.normal(3.0, 2.0, n)
+    return x, slope * x - 1.0 + draw.normal(0.0, noise, n)
+
+
+def test_a_worked_example():
+    found = one([0, 1, 2, 3], [1, 3, 2, 6])  # Sxx = 5, Sxy = 7, Syy = 14; means 1.5 and 3
+    assert found.slope.value == pytest.approx(7 / 5) and found.r.value == pytest.approx(7 / math.sqrt(5 * 14))
+    assert found.intercept.value == pytest.approx(3 - 1.5 * 7 / 5) and (found.n, found.n_left_out) == (4, 0)
+
+
+def test_equals_scipy_far_from_the_origin():
+    x, y = noisy(300, 0.7, 1.5)
+    found, expected = one(x + 1e6, y - 1e6), stats.linregress(x + 1e6, y - 1e6)
+    figures = (found.slope.value, found.r.value, found.intercept.value)
+    assert figures == pytest.approx((expected.slope, expected.rvalue, expected.intercept), rel=1e-6)
+
+
+def test_the_interval_of_a_slope_is_that_of_theory():
+    """noise / (sx √n) = 1.5 / (2 · √400) is a slope's deviation; that of 2000 resamples is within 5 % of it."""
+    x, y = noisy(400, 0.7, 1.5)
+    found = one(x, y).slope
+    deviation = (y - 0.7 * x + 1.0).std() / (x.std() * math.sqrt(400))
+    assert found.high - found.low == pytest.approx(2 * 1.96 * deviation, rel=0.15)
+
+
+def test_designs_of_a_trial_count_as_one():
+    """Ten copies of each design say no more than one: the interval is that of the trials."""
+    x, y = noisy(30, 0.7, 1.5)
+    copies = np.repeat(np.arange(30), 10)
+    once, ten, naive = (
+        one(x, y, trial=[f"{k:02d}" for k in range(30)]),
+        one(x[copies], y[copies], trial=[f"{k:02d}" for k in copies]),
+        one(x[copies], y[copies]),
+    )
+    assert (ten.slope.low, ten.slope.high) == pytest.approx((once.slope.low, once.slope.high), rel=1e-9)
+    assert naive.slope.high - naive.slope.low < 0.5 * (once.slope.high - once.slope.low) and ten.n == 300
+
+
+def test_diverged_designs_are_left_out():
+    x, y = noisy(50, 0.7, 0.5)
+    x[:3], y[1:6] = (np.nan, -np.inf, np.nan), np.nan
+    found = one(x, y)
+    assert (found.n, found.n_left_out) == (44, 6)
+    assert found.slope.value == pytest.approx(stats.linregress(x[6:], y[6:]).slope)
+
+
+@pytest.mark.parametrize("predicted", [[1.0, 2.0], [np.nan] * 9, [2.0] * 9])
+def test_what_cannot_be_regressed_is_missing(predicted):
+    found = one(predicted, range(len(predicted)))
+    assert found.slope == found.intercept == found.r == MISSING
+
+
+def test_equal_truths_have_a_slope_but_no_correlation():
+    found = one(np.arange(9), [2.0] * 9)
+    assert found.slope.value == 0.0 and found.intercept.value == 2.0 and found.r == MISSING
+
+
+def test_aggregates_of_a_worked_example():
+    """Members say 0, 2, 4, 10: mean 4, deviation √14."""
+    found = predictors_of(np.array([[10.0], [2.0], [0.0], [4.0]]), "population")
+    assert list(found) == ["member 0", "member 1", "member 2", "member 3", "mean", "mean - 1 sd"]
+    assert found["mean"][0] == 4.0 and found["mean - 1 sd"][0] == pytest.approx(4 - math.sqrt(14))
+
+
+def test_averaging_over_members_leaves_less_noise():
+    """An eighth of the noise's variance: R² = 2.25 / (2.25 + 4/8), not 2.25 / 6.25."""
+    draw = np.random.default_rng(2)
+    true = draw.normal(5, 3, 200)
+    rows = {row.name: row for row in assess(0.5 * true + draw.normal(0, 2, (8, 200)), true).regressions}
+    assert rows["member 0"].r.value == pytest.approx(0.6, abs=4 * (1 - 0.36) / math.sqrt(200))
+    assert rows["mean"].r.value == pytest.approx(math.sqrt(2.25 / 2.75), abs=4 * (1 - 0.82) / math.sqrt(200))
+
+
+def test_the_ends_of_a_range_are_the_members_that_are_there():
+    """Three members so far apart that the order is the same in every resample: each end is that member's figure."""
+    draw = np.random.default_rng(8)
+    true, trial = draw.normal(3.0, 2.0, 60), np.repeat(np.arange(20), 3)
+    predicted = np.stack([true + draw.normal(0, noise, 60) for noise in (6.0, 0.1, 1.5)])
+    found = assess(predicted, true, trial=trial)
+    assert found.ranges["r"] == tuple(found.regressions[k].r for k in (0, 2, 1))
+
+
+def test_with_replicates_the_intervals_include_the_variance_between_them():
+    """Networks that exaggerate by a factor of their replicate: the slope's pseudo-values are nested."""
+    draw = np.random.default_rng(3)
+    trial, true = np.repeat(np.arange(12), 20), draw.normal(5, 3, 240)
+    replicate = trial % 3
+    predicted = true * np.array([1.0, 1.3, 1.7])[replicate] + draw.normal(0, 0.5, 240)
+    nested, plain = one(predicted, true, trial=trial, replicate=replicate), one(predicted, true, trial=trial)
+    assert nested.n_replicates == 3 and nested.slope.value == pytest.approx(plain.slope.value)
+    assert nested.slope.high - nested.slope.low > 1.5 * (plain.slope.high - plain.slope.low)
+    assert -1 < nested.r.low < nested.r.value < nested.r.high < 1
+
+
+def test_every_ensemble_is_assessed_and_the_main_one_gives_the_metrics():
+    x, y = noisy(60, 0.5, 1.0)
+    assessed = Assessed(np.stack((x, x + 0.1)), y, [str(k) for k in range(60)], np.zeros(60, int), {})
+    study = SimpleNamespace(
+        throw_groups=("throws", "designed_throws", "none"),
+        deviation="population",
+        assessed=lambda group: None if group == "none" else assessed,
+        rng=lambda *identity: np.random.default_rng(0),
+    )
+    rows = regressions(study)
+    assert [row.learned_from for row in rows] == ["throws"] * 4 + ["designed_throws"] * 4
+    metrics = ANALYSES["regressions"].metrics(rows)
+    assert metrics["accuracy.r.mean"] == rows[2].r.value and "accuracy.slope.mean_less_1_sd" in metrics

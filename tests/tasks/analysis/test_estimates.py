@@ -1,0 +1,231 @@
+"""Estimates: worked examples, what has no interval, and how often intervals hold the truth."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from tasks.analysis.estimates import (
+    MISSING,
+    Estimate,
+    Mean,
+    Sample,
+    bootstrap,
+    components,
+    error_of,
+    from_replicates_means,
+    is_constant,
+    is_nested,
+    linearised,
+    mean_of,
+    of_means,
+    ratio,
+    sample_of,
+    sum_of_means,
+)
+
+NAN = float("nan")
+N_SAMPLES = 1000
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def sample(values, replicate=None):
+    values = np.asarray(values, float)
+    return sample_of(values, np.zeros(len(values), int) if replicate is None else np.asarray(replicate))
+
+
+def planted(draw, n_replicates, n=10, between=0.5, centre=0.0):
+    """Values of variance 1 whose trials take turns over the replicates, as those of a study do."""
+    replicate = np.arange(n) % n_replicates
+    effect = draw.normal(0, math.sqrt(between), n_replicates)
+    return Sample(centre + effect[replicate] + draw.normal(0, math.sqrt(1 - between), n), replicate)
+
+
+def test_means_and_deviations_are_of_finite_values():
+    assert mean_of(np.array([1.0, 3.0, NAN, -np.inf])) == Mean(2.0, pytest.approx(math.sqrt(2)), 2)
+    assert mean_of(np.array([7.0])) == Mean(7.0, None, 1) and mean_of(np.array([NAN])) == Mean(None)
+
+
+def test_a_mean_has_students_interval():
+    """Deviation 1, and t of 97.5 % with 2 degrees of freedom is 4.303."""
+    found = sum_of_means(sample([1.0, 2.0, 3.0, NAN]))
+    half = 4.303 / math.sqrt(3)
+    assert (found.low, found.value, found.high) == pytest.approx((2 - half, 2, 2 + half), abs=1e-3)
+
+
+@given(st.integers(0, 2**32), st.integers(2, 12), st.integers(2, 12), st.integers(0, 9))
+def test_with_one_replicate_a_difference_is_welchs(seed, n_x, n_y, replicate):
+    draw = rng(seed)
+    x, y = draw.normal(5, 1, n_x), draw.normal(4, 2, n_y)
+    found = sum_of_means(*(sample(of, np.full(len(of), replicate)) for of in (x, -y)))
+    expected = stats.ttest_ind(x, y, equal_var=False).confidence_interval(0.95)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+
+
+def test_a_balanced_worked_example():
+    """Means 2 and 6 of three trials each: MSB = 3 · (2² + 2²) / 1 = 24, MSW = (2 + 2) / 4 = 1, n0 = 3."""
+    nested = sample([1, 2, 3, 5, 6, 7], [0, 0, 0, 1, 1, 1])
+    found, interval = components(nested), sum_of_means(nested)
+    assert (found.between, found.within, found.f, found.n_per_replicate) == pytest.approx((23 / 3, 1, 24, 3))
+    assert (found.error.variance, found.error.freedom) == pytest.approx((24 / 6, 1))  # MSB / N with R - 1
+    assert interval.high - interval.value == pytest.approx(stats.t.ppf(0.975, 1) * 2)
+
+
+def test_replicates_that_agree_are_pooled():
+    """Both means are 2, so MSB = 0, and six independent trials have a variance of 4 / 5."""
+    found = components(sample([1, 2, 3, 1, 2, 3], [0, 0, 0, 1, 1, 1]))
+    assert (found.between, found.within) == pytest.approx((0, 0.8))
+    assert (found.error.variance, found.error.freedom) == pytest.approx((0.8 / 6, 5))
+
+
+def test_a_trial_in_each_replicate_is_students():
+    values = rng(1).normal(0, 1, 6)
+    found = components(sample(values, range(6)))
+    assert found.error.variance == pytest.approx(values.var(ddof=1) / 6) and found.error.freedom == 5
+    assert math.isnan(found.between) and math.isnan(found.within)  # nothing tells them apart
+
+
+def test_unequal_replicates_have_the_variance_of_their_mean():
+    """Sizes 5, 3 and 1: k = 35 / 9, and the variance of the mean is (k · 0.9 + 0.1) / 9.
+
+    Four deviations of a mean square of two degrees of freedom, over 2,000 samples, are 4 / √2000 of it.
+    """
+    draw, replicate, found = rng(2), np.repeat([0, 1, 2], [5, 3, 1]), []
+    for _ in range(2000):
+        effect = draw.normal(0, math.sqrt(0.9), 3)
+        found.append(components(Sample(effect[replicate] + draw.normal(0, math.sqrt(0.1), 9), replicate)))
+    close = {"rel": 4 / math.sqrt(2000)}
+    assert np.mean([of.error.variance for of in found]) == pytest.approx((35 / 9 * 0.9 + 0.1) / 9, **close)
+    assert np.mean([of.between for of in found]) == pytest.approx(0.9, **close)
+
+
+def test_variances_add_and_degrees_of_freedom_are_welchs():
+    x, y = sample([1, 2, 3, 5, 6, 7], [0, 0, 0, 1, 1, 1]), sample([1, 2, 3, 4])
+    error, parts = error_of(x, y), (4.0, 5 / 3 / 4)
+    assert error.variance == pytest.approx(sum(parts))
+    assert error.freedom == pytest.approx(sum(parts) ** 2 / (parts[0] ** 2 / 1 + parts[1] ** 2 / 3))
+
+
+def test_failed_trials_are_left_out_with_their_replicates():
+    whole = sample([1.0, NAN, 3.0, 4.0], [0, 1, 0, 1])
+    assert whole.values.tolist() == [1, 3, 4] and whole.replicate.tolist() == [0, 0, 1]
+    assert not is_nested(sample([1.0, NAN, 3.0], [0, 1, 0]))
+    assert from_replicates_means(sample([1, 3, 10, 12, 5], [0, 0, 2, 2, 1])).tolist() == [-1, 1, -1, 1, 0]
+
+
+@pytest.mark.parametrize(("values", "expected"), [([], MISSING), ([3.0], Estimate(3.0)), ([2.0, 2.0], Estimate(2.0))])
+def test_what_has_no_interval(values, expected):
+    assert sum_of_means(sample(values, range(len(values)))) == expected
+
+
+def test_a_ratio_of_nested_means_has_the_interval_of_the_delta_method():
+    """For x / y, var = (var x̄ + r² var ȳ) / ȳ²."""
+    x, y = sample([1, 2, 3, 5, 6, 7], [0, 0, 0, 1, 1, 1]), sample([18, 20, 22, 20])
+    found, r, parts = ratio(x, y, rng=rng()), 4 / 20, (4.0, 8 / 3 / 4)
+    deviation = math.sqrt(parts[0] + r**2 * parts[1]) / 20
+    freedom = (parts[0] + r**2 * parts[1]) ** 2 / (parts[0] ** 2 + (r**2 * parts[1]) ** 2 / 3)
+    assert found.value == pytest.approx(r)
+    assert found.high - r == r - found.low == pytest.approx(stats.t.ppf(0.975, freedom) * deviation)
+    assert sum(of.values.mean() for of in linearised(x, y)) == pytest.approx(0)
+
+
+@pytest.mark.parametrize("replicate", [[0, 0, 0, 0], [0, 0, 1, 1]])
+def test_a_ratio_to_what_may_be_nothing_has_no_interval(replicate):
+    part = sample([1, 2, 3, 4], replicate)
+    assert ratio(part, sample([-1.0, -2.0, -3.0]), rng=rng()) == MISSING
+    shaky = ratio(part, sample([-4.0, 2.0, 3.0, 1.0]), rng=rng())
+    assert shaky.value == pytest.approx(5.0) and shaky.interval is None
+
+
+# -- the bootstrap ---------------------------------------------------------------------------------------------------
+
+
+def of(*samples, statistic=lambda means: means, seed=0):
+    columns = [np.asarray(one, float).reshape(len(one), -1) for one in samples]
+    return bootstrap(statistic, *columns, rng=rng(seed))
+
+
+def test_two_samples_have_scipys_interval_widened_by_students_t():
+    x, y = rng(3).exponential(1.0, 30), rng(4).normal(3.0, 1.0, 20)
+    z = math.sqrt(20 / 19) * stats.t.ppf(0.975, 19)
+    expected = stats.bootstrap(
+        (x, y),
+        lambda x, y, axis=-1: x.mean(axis) / y.mean(axis),
+        n_resamples=2000,
+        confidence_level=2 * stats.norm.cdf(z) - 1,
+        rng=rng(2),
+    ).confidence_interval
+    (found,) = of(x, y, statistic=lambda x, y: x / y)
+    deviation = x.std() / math.sqrt(30) / 3.0
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=0.2 * deviation)
+
+
+@pytest.mark.parametrize(("n", "held"), [(5, 0.92), (10, 0.943), (20, 0.95)])
+def test_the_bootstrap_holds_the_mean_of_small_samples(n, held):
+    """The count is binomial: with 200 samples its deviation is at most 0.019; four of these are allowed."""
+    draw, inside = rng(5), 0
+    for seed in range(200):
+        (found,) = of(draw.normal(5.0, 1.0, n), seed=seed)
+        inside += found.low <= 5.0 <= found.high
+    assert abs(inside / 200 - held) < 4 * math.sqrt(held * (1 - held) / 200)
+
+
+def test_rows_are_resampled_whole():
+    """y = 2x + 1 in every row, and so in every resample."""
+    x = rng(6).normal(size=20)
+    (found,) = of(np.stack((x, 2 * x + 1), axis=1), statistic=lambda m: (m[..., 1] - 2 * m[..., 0])[..., None])
+    assert found.value == pytest.approx(1.0) and found.interval == pytest.approx((1.0, 1.0))
+
+
+def test_the_same_generator_gives_the_same_figures():
+    x = rng(8).normal(size=12)
+    assert of(x, seed=1) == of(x, seed=1) != of(x, seed=2)
+
+
+def test_few_equal_or_undefined_values_have_no_interval():
+    assert of([1.0, 2.0]) == (Estimate(1.5),) and of([3.0] * 10) == (Estimate(3.0),)
+    assert of([-1.0, -2.0, -3.0], statistic=np.sqrt) == (MISSING,)
+    (shaky,) = of([-4.0, 2.0, 3.0, 1.0], statistic=np.sqrt)  # a mean of 0.5 that is often below zero in resamples
+    assert shaky.value == pytest.approx(math.sqrt(0.5)) and shaky.interval is None
+
+
+# -- pseudo-values ---------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**32), st.integers(2, 12), st.integers(1, 4))
+def test_a_function_that_is_a_mean_has_the_interval_of_the_mean(seed, n, n_replicates):
+    """Its pseudo-values are the values themselves."""
+    values, replicate = rng(seed).normal(5, 1, (n, 2)), np.arange(n) % n_replicates
+    for found, column in zip(of_means(lambda means: means, values, replicate), values.T, strict=True):
+        expected = sum_of_means(Sample(column, replicate))
+        assert (found.value, found.low, found.high) == pytest.approx((expected.value, expected.low, expected.high))
+
+
+def test_functions_that_are_not_finite_have_no_value_or_no_interval():
+    """The logarithm of a mean of 0, and of one that is 0 without its last trial."""
+    rows = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    assert of_means(np.log, rows, np.array([0, 1, 0])) == (MISSING, Estimate(math.log(1 / 3)))
+
+
+def near(rates, nominal):
+    """Whether the share of flags lies within four binomial deviations of the rate that is stated."""
+    return abs(np.mean(rates) - nominal) < 4 * math.sqrt(nominal * (1 - nominal) / N_SAMPLES)
+
+
+@pytest.mark.parametrize(("n_replicates", "held"), [(1, 0.95), (2, 0.89), (3, 0.94), (5, 0.95)])
+def test_the_interval_of_a_nested_mean_holds_it_as_often_as_the_docstring_says(n_replicates, held):
+    draw = rng(3)
+    found = [planted(draw, n_replicates, between=0.5 * (n_replicates > 1)) for _ in range(N_SAMPLES)]
+    ends = [sum_of_means(of) for of in found]
+    assert near([of.low <= 0 <= of.high for of in ends], held)
+
+
+def test_rounding_is_no_spread():
+    assert is_constant(np.array([0.1 + 0.2, 0.3])) and is_constant(np.zeros(3)) and is_constant(np.zeros(0))
+    assert not is_constant(np.array([1.0, 1.0 + 1e-9]))
