@@ -7,153 +7,238 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from os.path import relpath
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import ttest_ind
 
+from pipeline.report.render import as_markdown
 from tasks.analysis import paper
-from tasks.analysis.estimates import Sample, ratio, sample_of
+from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
+from tasks.analysis.registry import column
 from tasks.world import ENVIRONMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 SECTION = re.compile(r"<!-- table (\w+) of (\S+) -->\n.*?<!-- end -->", re.S)
 
 Results = Mapping[str, Any]
-Table = list[Sequence[object]]  # its first row are the headings
 
 
 # -- studies: results.json of `puddle export` ------------------------------------------------------------------------
 
 
-def shares(results: Results) -> Table:
-    """Tabulate how far champions go at 9 m, and how much of *E* that is, with 95 % intervals."""
-    table: Table = [("evolved in", "predicted", "zero-shot, share of *E*", "adapted, share of *E*", "paper")]
+@dataclass(frozen=True)
+class Share:
+    """How far the champions of an arm go, and how much of *E* that is."""
+
+    evolved: str = column("evolved in", form="{}")
+    predicted: float | None = column("predicted", "m")
+    zero_shot: float = column("zero-shot", "m")
+    of_best: Estimate | None = column("of *E*", form="{:z.0%}")
+    adapted: Estimate | None = column("adapted, of *E*", form="{:z.0%}")
+
+
+def shares(results: Results) -> Iterable[Share]:
+    """Tabulate how far champions go at 9 m."""
     for arm in results["arms"]:
         name = arm["environment"]
-        if arm["depth"] == paper.DEPTH and name != "designed_single_member":
-            predicted = "" if name == "true_slush" else f"{arm['predicted']['mean']:.1f} m"
-            scores = [
-                f"{arm[score]['mean']:z.1f} m" + ("" if name == "true_slush" else f", {_share(results, name, score)}")
-                for score in ("zero_shot", "adapted")
-            ]
-            table.append((_label(name), predicted, *scores, _papers(name)))
-    return table
+        if name == "true_slush" and arm["depth"] == paper.DEPTH:
+            yield Share(_label(name), None, arm["zero_shot"]["mean"], None, None)
+        elif name != "designed_single_member" and arm["depth"] == paper.DEPTH:
+            of = (_share(results, name, score) for score in ("zero_shot", "adapted"))
+            yield Share(_label(name), arm["predicted"]["mean"], arm["zero_shot"]["mean"], *of)
 
 
-def depths(results: Results) -> Table:
-    """Tabulate how far *E* goes at each depth, and the share of it that other champions reach zero-shot."""
+@dataclass(frozen=True)
+class AtDepth:
+    """How far *E* goes at a depth, and the share of it that other champions reach."""
+
+    depth: float = column("depth", "m", form="{:g}")
+    best: float = column("*E*", "m")
+    dry_land: float = column("Dry Land, *E′*", form="{:z.0%}")
+    residual_slush: float = column("Residual Slush, *Ê*", form="{:z.0%}")
+    randomised_slush: float = column("Randomised Slush, *Ẽ*", form="{:z.0%}")
+    designed_throws: float = column("Designed throws, *Ê\\**", form="{:z.0%}")
+
+
+def depths(results: Results) -> Iterable[AtDepth]:
+    """Tabulate the zero-shot shares of *E* at all depths."""
     arms = {(arm["environment"], arm["depth"]): arm["zero_shot"]["mean"] for arm in results["arms"]}
-    names = ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
-    table: Table = [("depth [m]", "*E* [m]", *map(_label, names))]
     for depth in sorted({depth for _, depth in arms}):
         best = arms["true_slush", depth]
-        table.append((f"{depth:g}", f"{best:.1f}", *(f"{arms[name, depth] / best:z.0%}" for name in names)))
-    return table
+        names = ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
+        yield AtDepth(depth, best, *(arms[name, depth] / best for name in names))
 
 
-def accuracy(results: Results) -> Table:
-    """Tabulate how well ensembles predict designs from whole runs."""
+@dataclass(frozen=True)
+class Accuracy:
+    """How well an ensemble predicts designs from whole runs."""
+
+    ensemble: str = column("ensemble", form="{}")
+    predictor: str = column("predicted by", form="{}")
+    r: float = column("R", form="{:.2f}")
+    slope: float = column("slope", form="{:.2f}")
+    papers_r: float = column("paper: R", form="{:.2f}")
+    papers_slope: float = column("slope", form="{:.2f}")
+
+
+def accuracy(results: Results) -> Iterable[Accuracy]:
+    """Tabulate the prediction accuracy of ensembles."""
     ensembles = {kind.learns_from: name for name, kind in ENVIRONMENTS.items() if kind.networks == "all"}
-    table: Table = [("ensemble", "predicted by", "R", "slope", "paper: R", "slope")]
+    predictors: Mapping[str, str] = {"mean": "μ", "mean - 1 sd": "μ − σ"}
+    figures: tuple[Literal["r"], Literal["slope"]] = ("r", "slope")
     for row in results["accuracy"]:
-        papers = (f"{paper.AGGREGATES[row['name'], figure][0]:.2f}" for figure in ("r", "slope"))
-        predictor = {"mean": "μ", "mean - 1 sd": "μ − σ"}[row["name"]]
-        label = _label(ensembles[row["learned_from"]])
-        table.append((label, predictor, f"{row['r']:.2f}", f"{row['slope']:.2f}", *papers))
-    return table
+        papers = (paper.AGGREGATES[row["name"], figure][0] for figure in figures)
+        ensemble, predictor = _label(ensembles[row["learned_from"]]), predictors[row["name"]]
+        yield Accuracy(ensemble, predictor, row["r"], row["slope"], *papers)
 
 
-def verdicts(results: Results) -> Table:
-    """Compare the paper's numbers with a study's."""
-    return [("", "paper", "this study (95 %)", "verdict")] + [
-        (row["what"], row["paper"], f"{row['this_run']} ({row['interval']})", row["verdict"])
-        for row in results["comparison"]
-        if row["interval"] and not row["what"].startswith("Student")
-    ]
+@dataclass(frozen=True)
+class Beside:
+    """A number of the paper beside a study's."""
+
+    what: str = column("", form="{}")
+    papers: str = column("paper", form="{}")
+    ours: str = column("this study (95 %)", form="{}")
+    verdict: str = column("verdict", form="{}")
 
 
-def variants(results: Results) -> Table:
-    """Tabulate how far champions go in studies that differ in one setting."""
-    table: Table = [("", "evolved in", "predicted [m]", "zero-shot [m]", "share of *E*", "by data set", "exploiters")]
+def verdicts(results: Results) -> Iterable[Beside]:
+    """Compare the paper's numbers, other than t tests, with a study's."""
+    for row in results["comparison"]:
+        if row["interval"] and not row["what"].startswith("Student"):
+            yield Beside(row["what"], row["paper"], f"{row['this_run']} ({row['interval']})", row["verdict"])
+
+
+@dataclass(frozen=True)
+class Variant:
+    """How far the champions of an arm go in a study that differs from others in one setting."""
+
+    varied: str = column("", form="{}")
+    evolved: str = column("evolved in", form="{}")
+    predicted: float = column("predicted", "m")
+    zero_shot: float = column("zero-shot", "m")
+    of_best: float = column("of *E*", form="{:z.0%}")
+    by_data_set: tuple[float, ...] = column("by data set", form=lambda of: ", ".join(f"{share:z.0%}" for share in of))
+    exploiters: str = column("exploiters", form="{}")
+
+
+def variants(results: Results) -> Iterable[Variant]:
+    """Tabulate studies that differ in one setting."""
     for study in results["studies"]:
+        best = fmean(one["zero_shot"] for one in study["champions"] if one["environment"] == "true_slush")
         for arm in (arm for arm in study["arms"] if arm["environment"] != "true_slush"):
             champions = [one for one in study["champions"] if one["environment"] == arm["environment"]]
             n_exploiters = sum(one["zero_shot"] < one["predicted"] / 2 for one in champions)
-            best = fmean(one["zero_shot"] for one in study["champions"] if one["environment"] == "true_slush")
-            of_data_set = [
+            by_data_set = tuple(
                 fmean(one["zero_shot"] for one in champions if one["trial"] % study["n_replicates"] == k) / best
                 for k in range(study["n_replicates"])
-            ]
+            )
             varied = study["variant"] if "throws" in study["series"] else f"{study['series']} {study['variant']}"
             predicted, true = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
-            row = [varied, _label(arm["environment"]), f"{predicted:z.1f}", f"{true:z.1f}", f"{true / best:z.0%}"]
-            by_data_set = ", ".join(f"{share:z.0%}" for share in of_data_set)
-            table.append([*row, by_data_set, f"{n_exploiters} of {len(champions)}"])
-    return table
+            exploiters = f"{n_exploiters} of {len(champions)}"
+            label = _label(arm["environment"])
+            yield Variant(varied, label, predicted, true, true / best, by_data_set, exploiters)
 
 
-def tank(results: Results) -> Table:
-    """Tabulate how robots to build fare in the virtual tank, beside the paper's robot in a real one."""
-    return [("in 150 s, by Froude's law", "paper", "the proposed robot", "all 16 champions")] + [
-        (row["test"], *(f"{row[whose][0]} of {row[whose][1]}" for whose in ("paper", "proposed", "all")))
-        for row in results["tank"]
-    ]
+@dataclass(frozen=True)
+class TankTest:
+    """How many of the robots to build pass a test in the virtual tank."""
+
+    test: str = column("in 150 s, by Froude's law", form="{}")
+    papers: tuple[int, int] = column("paper", form="{0[0]} of {0[1]}")
+    proposed: tuple[int, int] = column("the proposed robot", form="{0[0]} of {0[1]}")
+    champions: tuple[int, int] = column("all 16 champions", form="{0[0]} of {0[1]}")
 
 
-def core_minutes(results: Results) -> Table:
+def tank(results: Results) -> Iterable[TankTest]:
+    """Compare robots to build with the paper's robot in a real tank."""
+    return [TankTest(row["test"], *(tuple(row[of]) for of in ("paper", "proposed", "all"))) for row in results["tank"]]
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """The processor time of a stage."""
+
+    stage: str = column("stage", form="{}")
+    minutes: float = column("core-minutes")
+    share: float = column("share", form="{:.0%}")
+
+
+def core_minutes(results: Results) -> Iterable[StageTime]:
     """Tabulate the processor time of each stage."""
-    of_stage = results["core_seconds"]
-    total = sum(of_stage.values())
-    rows = [(stage, f"{seconds / 60:.1f}", f"{seconds / total:.0%}") for stage, seconds in of_stage.items()]
-    return [("stage", "core-minutes", "share"), *rows, ("all", f"{total / 60:.1f}", "")]
+    of_stage = {**results["core_seconds"], "all": sum(results["core_seconds"].values())}
+    return [StageTime(stage, seconds / 60, seconds / of_stage["all"]) for stage, seconds in of_stage.items()]
 
 
 # -- what the paper leaves open --------------------------------------------------------------------------------------
 
 
-def open_choices(results: Results) -> Table:
-    """Tabulate how far *E* goes at the paper's scale of evolution if a choice is made differently."""
-    return [("decided", "instead", "*E* [m]", "n", "setting")] + [
-        (row["decided"], row["instead"] or "", f"{row['mean']:.1f} ± {row['sd']:.1f}", row["n"], _code(row["setting"]))
-        for row in results["rows"]
-    ]
+@dataclass(frozen=True)
+class Choice:
+    """How far *E* goes if a choice is made differently."""
+
+    decided: str = column("decided", form="{}")
+    instead: str | None = column("instead", form="{}")
+    best: Mean | None = column("*E*", "m")
+    difference: Estimate | None = column("difference (95 %)", "m")
+    n: int | None = column("n", form="{}")
+    setting: str | None = column("setting", form="`{}`")
 
 
-def sensitivity(results: Results) -> Table:
-    """Tabulate what each choice changes at a smaller scale of evolution, with Student's 95 % interval."""
-    table: Table = [("decided", "instead", "difference [m]", "setting")]
+def open_choices(results: Results) -> Iterable[Choice]:
+    """Tabulate what choices change at the paper's scale of evolution."""
+    for row in results["rows"]:
+        best = Mean(row["mean"], row["sd"], row["n"])
+        yield Choice(row["decided"], row["instead"], best, None, row["n"], row["setting"])
+
+
+def sensitivity(results: Results) -> Iterable[Choice]:
+    """Tabulate what choices change at a smaller scale of evolution, with Student's interval."""
     for row in results["rows"]:
         low, high = ttest_ind(row["displacement"], row["base"]).confidence_interval()
-        difference = f"{fmean(row['displacement']) - fmean(row['base']):z.1f} ({low:.1f} to {high:.1f})"
-        table.append((row["decided"], row["instead"], difference, _code(row["setting"])))
-    return table
+        difference = Estimate(fmean(row["displacement"]) - fmean(row["base"]), low, high)
+        yield Choice(row["decided"], row["instead"], None, difference, None, row["setting"])
 
 
 # -- make bench ------------------------------------------------------------------------------------------------------
 
 
-def bench(results: Results) -> Table:
-    """Compare what ran in the same rounds."""
-    table: Table = [("ratio", "median", "spread", "at least")]
-    for figure in (figure for figure in results["figures"] if figure["unit"] == "times"):
-        spread = f"{min(figure['rounds']):.3g} to {max(figure['rounds']):.3g}"
-        table.append((figure["name"], f"{figure['median']:.3g}", spread, figure["bound"] or ""))
-    return table
+@dataclass(frozen=True)
+class Bench:
+    """A ratio of what ran in the same rounds."""
+
+    name: str = column("ratio", form="{}")
+    median: float = column("median", form="{:.3g}")
+    spread: tuple[float, ...] = column("spread", form=lambda rounds: f"{min(rounds):.3g} to {max(rounds):.3g}")
+    bound: float | None = column("at least", form="{:g}")
 
 
-TABLES: Mapping[str, Callable[[Results], Table]] = {
-    of.__name__: of
-    for of in (shares, depths, accuracy, verdicts, variants, tank, core_minutes, open_choices, sensitivity, bench)
+def bench(results: Results) -> Iterable[Bench]:
+    """Tabulate the ratios of a run."""
+    for figure in results["figures"]:
+        if figure["unit"] == "times":
+            yield Bench(figure["name"], figure["median"], tuple(figure["rounds"]), figure["bound"])
+
+
+TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
+    "shares": (Share, shares),
+    "depths": (AtDepth, depths),
+    "accuracy": (Accuracy, accuracy),
+    "verdicts": (Beside, verdicts),
+    "variants": (Variant, variants),
+    "tank": (TankTest, tank),
+    "core_minutes": (StageTime, core_minutes),
+    "open_choices": (Choice, open_choices),
+    "sensitivity": (Choice, sensitivity),
+    "bench": (Bench, bench),
 }
-
-
-# -- cells and pages -------------------------------------------------------------------------------------------------
 
 
 def _label(environment: str) -> str:
@@ -161,18 +246,10 @@ def _label(environment: str) -> str:
     return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
 
 
-def _code(setting: str | None) -> str:
-    return f"`{setting}`" if setting else ""
-
-
-def _share(study: Results, environment: str, score: str) -> str:
-    """Write an arm's share of *E* zero-shot, with its 95 % interval."""
-    share = ratio(
-        _sample(study, environment, score), _sample(study, "true_slush", "zero_shot"), rng=np.random.default_rng(0)
-    )
-    if share.low is None or share.high is None:
-        return f"{share.value:z.0%}"
-    return f"{share.value:z.0%} ({100 * share.low:z.0f} to {100 * share.high:z.0f})"
+def _share(study: Results, environment: str, score: str) -> Estimate:
+    """Estimate an arm's share of *E* zero-shot."""
+    best = _sample(study, "true_slush", "zero_shot")
+    return ratio(_sample(study, environment, score), best, rng=np.random.default_rng(0))
 
 
 def _sample(study: Results, environment: str, score: str) -> Sample:
@@ -182,31 +259,6 @@ def _sample(study: Results, environment: str, score: str) -> Sample:
     return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n for row in rows]))
 
 
-def _papers(environment: str) -> str:
-    """Write the paper's shares of its *E*, zero-shot and adapted."""
-    best = paper.MEANS["true_slush", "zero_shot"][0]
-    if environment == "true_slush":
-        return f"{best:g} m"
-    shares = [
-        paper.RATIOS[arm][0] if arm in paper.RATIOS else paper.MEANS[arm][0] / best
-        for arm in ((environment, "zero_shot"), (environment, "adapted"))
-        if arm in paper.RATIOS or arm in paper.MEANS
-    ]
-    return ", ".join(f"{share:.0%}" for share in shares)
-
-
-def markdown(table: Table) -> str:
-    """Write a table in Markdown, columns of numbers to the right."""
-    headings, *rows = [[_typographic(str(cell)) for cell in row] for row in table]
-    number = [all(re.match(r"[−≤≥\d]|$", row[column]) for row in rows) for column in range(len(headings))]
-    lines = [headings, ["--:" if right else "---" for right in number], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _typographic(cell: str) -> str:
-    return re.sub(r"(?<![\w`])-(?=\d)", "−", cell.replace("%", " %").replace("  %", " %"))
-
-
 def _section(found: re.Match[str], page: Path) -> str:
     """Return a table between its markers, and what it was measured with."""
     name, file = found.groups()
@@ -214,7 +266,9 @@ def _section(found: re.Match[str], page: Path) -> str:
     made = results.get("made_with") or results.get("provenance") or results["machine"]
     link = f"[{Path(file).name}]({relpath(ROOT / file, page.parent)})"
     where = f"{link}, commit {made['commit'][:7]}, {made.get('cpu', 'AMD EPYC')}"
-    return f"<!-- table {name} of {file} -->\n{markdown(TABLES[name](results))}\n\n*{where}*\n<!-- end -->"
+    kind, tabulate = TABLES[name]
+    table = as_markdown(kind, list(tabulate(results)))
+    return f"<!-- table {name} of {file} -->\n{table}\n*{where}*\n<!-- end -->"
 
 
 def main() -> None:
