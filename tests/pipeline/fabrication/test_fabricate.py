@@ -4,7 +4,6 @@ import hashlib
 import json
 import re
 import shutil
-from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,8 @@ import pytest
 from command_line import call
 
 from pipeline.errors import PuddleError
-from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.kit_files import KIT_MANIFEST, read_calibration, read_timeline
-from pipeline.fabrication.kit_page import TEMPLATES, verdict
+from pipeline.fabrication.kit_page import verdict
 from pipeline.fabrication.make_kit import fabricate
 from pipeline.fabrication.source import from_file, proposed
 from pipeline.results.recorded_study import open_study
@@ -111,14 +109,6 @@ def test_the_design_in_the_readme_has_no_fault_and_a_timeline(tmp_path, capsys):
 )
 def test_the_verdict_names_faults_and_warnings(severities, expected):
     assert verdict([KitFinding(severity, "joint 2", "message") for severity in severities.split()]) == expected
-
-
-def test_a_kit_without_a_timeline_does_not_suggest_to_play_it():
-    lame = Bench(**{field.name: None for field in fields(Bench)} | {"calibration": object()})
-    last_steps = TEMPLATES.get_template("kit_macros.html").module.last_steps
-    steps = last_steps(lame, "kit")
-    assert "puddle servo play" not in steps and "Measure each servo's pulses" in steps
-    assert last_steps(replace(lame, calibration=None), "kit") == ""
 
 
 def test_mistakes(made, tmp_path, capsys):

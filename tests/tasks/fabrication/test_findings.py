@@ -74,15 +74,6 @@ def test_a_finding(crane, genes, settings, severity, where, said):
     assert where in [finding.where for finding in findings] and {finding.severity for finding in findings} == {severity}
 
 
-def test_every_number_of_motors(crane):
-    for n in (1, 3, 5):
-        on = np.array([[False] + [True] * n + [False] * (5 - n)])
-        several = assemble(with_genes(crane, motor_on=on), SETTINGS.model_copy(update={"servo": "mg90s"}))
-        assert len(several.servo_joints) == n and len(several.mechanism.bodies) == n + 1
-        depth = [body.depth for body in several.mechanism.bodies]
-        assert all((depth[j.parent] - depth[j.child]) % 2 == 1 for j in several.mechanism.joints)
-
-
 def test_walls_and_necks(crane):
     # From an ear's screw, 28.3 / 2 from the servo's middle, to the case's opening, 22.8 / 2 + 0.3, less the pilot.
     wall = 28.3 / 2 - 22.8 / 2 - 0.3 - 0.85 * 2.0 / 2

@@ -178,18 +178,6 @@ def test_poses_are_those_of_the_design_with_its_joints_turned(crane):
     assert seen.symmetric_difference(moved(mechanism.bodies[2].outline, root[1])).area < 1e-6
 
 
-def test_poses_in_gait_include_rising_amplitudes(crane):
-    """Two joints out of phase reach poses that occur neither at full amplitude nor at rest."""
-    one, other = crane.motor_on[0].nonzero()[0][:2]
-    phase = crane.phase.copy()
-    phase[0, one], phase[0, other] = 0.0, pi / 2
-    whole = mechanism_of(replace(crane, phase=phase), SETTINGS)
-    half = mechanism_of(replace(crane, phase=phase, motion_range=crane.motion_range / 2), SETTINGS)
-    poses = np.array(whole.poses_in_gait(1, 2))
-    for pose in half.poses_in_gait(1, 2)[:96]:
-        assert np.abs(poses - pose).max(axis=1).min() < 1e-9
-
-
 def test_the_bill(kit):
     lines = {(line.kind, line.item, line.length_mm): line for line in kit.bill}
     rod = "stainless steel rod, 3 mm"

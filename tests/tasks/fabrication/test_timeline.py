@@ -53,12 +53,6 @@ def test_an_envelope_rises_and_falls_without_a_jump(duration: float, ramp: float
     assert np.abs(np.diff(e, 2)).max() <= 10 / np.sqrt(3) * (dt / rise) ** 2 + 1e-12
 
 
-def test_a_design_without_motors_has_no_timeline():
-    still = replace(design(), motor_on=np.zeros((1, 6), dtype=bool))
-    with pytest.raises(TimelineError, match="no motor is on"):
-        timeline_of(still, Playback(), time_scale=1.0)
-
-
 def test_the_shortest_run_has_frames_between_its_ends():
     with pytest.raises(ValidationError, match="duration"):
         Playback(duration=0.01)  # one frame: a run that begins and ends at once
