@@ -59,14 +59,7 @@ TOGETHER = {
         "stages/test_report.py",
         "stages/test_stages.py",
     ),
-    "drawn": (
-        "report/test_browser.py",
-        "report/test_column_figures.py",
-        "report/test_data.py",
-        "report/test_figures.py",
-        "report/test_page.py",
-        "report/test_transfer_latex.py",
-    ),
+    "drawn": ("report/test_browser.py", "report/test_figures.py", "report/test_page.py"),
 }
 """Files that one process runs, by an expensive fixture that they share."""
 
