@@ -23,14 +23,11 @@ from packaging.requirements import Requirement
 
 from pipeline.cluster import Cluster, TaskFailed, ray_cluster, session
 from pipeline.cluster.process import free_memory
-from pipeline.commands.cost_model import bytes_left_of_study
+from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.stages import STAGES
 from pipeline.store import disk
 from pipeline.store.store import Store
-from pipeline.workflow.graph import survey
-from pipeline.workflow.stage import Results
 
 _CONSTRAINTS = Path(str(files("pipeline") / "constraints.txt"))  # package versions that were tested together
 
@@ -161,11 +158,12 @@ def examine_store(
             existing = next(path for path in (root, *root.parents) if path.exists())
             free = free_bytes(existing)
             store_exists = (root / "store.json").exists()
-        done, drivers = _done(root, settings) if store_exists else ({}, [])
+        store = Store.open(root, create=False) if store_exists else None
+        left = sum(stage.n_bytes for stage in forecast_stages(settings, store))
+        drivers = _drivers(store) if store else []
     except PuddleError as error:
         yield Check("fail", "store", f"{error}")
         return
-    left = bytes_left_of_study(settings, done)
     needed = _SPARE_BYTES + left if left else 0.0
     needs = f"at most {needed / 1e9:.1f} GB needed for the rest of study {settings.name}"
     found = f"{free / 1e9:.1f} GB free at {existing}, {needs if left else f'study {settings.name} is done'}"
@@ -186,12 +184,8 @@ def examine_store(
         yield Check("warn" if drivers else "ok", "store", "; ".join([found, *drivers]))
 
 
-def _done(root: Path, settings: Settings) -> tuple[dict[str, Results], list[str]]:
-    """Survey the study in its store, damaged items counting as missing, and name the drivers of the store's studies."""
-    store = Store.open(root, create=False)
-    with store.lock_to_read():
-        drivers = [f"study {name} is driven by {who}" for name in store.studies() if (who := store.driver_of(name))]
-        return survey(settings, STAGES, store, say=lambda line: None), drivers
+def _drivers(store: Store) -> list[str]:
+    return [f"study {name} is driven by {who}" for name in store.studies() if (who := store.driver_of(name))]
 
 
 def _try_commit(folder: Path) -> float:

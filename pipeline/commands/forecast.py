@@ -1,5 +1,6 @@
 """puddle forecast: time and bytes per stage."""
 
+import os
 from dataclasses import asdict
 from typing import Annotated
 
@@ -7,61 +8,66 @@ import typer
 
 from pipeline.commands.exit_codes import interruptible
 from pipeline.commands.options import AsJson, StudyOptions, print_json, with_options
-from pipeline.commands.output import to_stderr, to_stdout
+from pipeline.commands.output import to_stdout
+
+_HOUR = 3600.0
 
 
 @with_options
 def forecast(
     options: StudyOptions,
     cores: Annotated[
-        list[int] | None, typer.Option("--cores", min=1, help="Also forecast for this many cores like this machine's.")
+        int | None, typer.Option("--cores", min=1, help="Cores to forecast for; this machine's by default.")
     ] = None,
     gpu_tflops: Annotated[
         float | None,
-        typer.Option("--gpu-tflops", help="Rate at which a GPU trains, where this machine has none [TFLOP/s]."),
+        typer.Option("--gpu-tflops", min=0.001, help="Rate at which a GPU trains, for its time [TFLOP/s]."),
     ] = None,
-    gpus: Annotated[
-        int, typer.Option("--gpus", min=1, help="GPUs that train networks with training.device=cuda, one each.")
-    ] = 1,
-    driver_ms: Annotated[
-        float | None,
-        typer.Option(
-            "--driver-ms", help="The driver's time for a small work item, if not as docs/cluster.md says [ms]."
-        ),
-    ] = None,
-    network_gbit: Annotated[
-        float | None, typer.Option("--network-gbit", help="Rate of the driver's network, if not 1 Gbit/s [Gbit/s].")
-    ] = None,
+    gpu_price: Annotated[float, typer.Option("--gpu-price", min=0.0, help="Price of an hour of that GPU.")] = 0.0,
     as_json: AsJson = False,
 ) -> None:
-    """Estimate how long the rest of a study will take, and how much disk it will use.
+    """Estimate how long the rest of a study will take, and how much disk it will use, within a factor of two.
 
-    With training.device=cuda, training is timed on a GPU of this machine, or priced at --gpu-tflops: the rate that a
-    GPU reaches, which is well below the peak that its maker states.
+    The rate of a GPU is what it reaches in training, well below the peak that its maker states.
     """
-    from pipeline.commands.cost_model import DriverLimits, forecast_study
-    from pipeline.commands.forecast_table import forecast_lines
+    from pipeline.commands.time_model import forecast_stages, training_gpu_seconds
 
+    settings = options.settings()
     with interruptible():
-        found = forecast_study(
-            options.settings(),
-            options.find_store(),
-            tuple(cores or ()),
-            gpu_tflops=gpu_tflops,
-            n_gpus=gpus,
-            driver=DriverLimits.stated(driver_ms, network_gbit),
-            say=to_stderr,
-        )
+        stages = forecast_stages(settings, options.find_store())
+    n_cores = cores or len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1))
+    gpu_hours = training_gpu_seconds(settings, gpu_tflops) / _HOUR if gpu_tflops else None
     if as_json:
-        stages = [
-            {
-                **asdict(one),
-                "seconds": {str(n): found.stage_seconds(one, n) for n in found.n_cores},
-                "limit": {str(n): found.limit(one, n) for n in found.n_cores},
-            }
-            for one in found.stages
-        ]
-        print_json({**asdict(found), "stages": stages, "seconds": {str(n): found.seconds(n) for n in found.n_cores}})
+        rows = [{**asdict(one), "seconds": one.seconds(n_cores)} for one in stages]
+        print_json({"study": settings.name, "n_cores": n_cores, "stages": rows, "gpu_hours": gpu_hours})
         return
-    for line in forecast_lines(found):
-        to_stdout(line)
+    to_stdout(f"study {settings.name}: the rest of the work on {n_cores:,} core{'s' * (n_cores > 1)}")
+    to_stdout(f"{'stage':<9}{'work':>19}{'core time':>11}{'time':>9}{'disk':>9}  cost from")
+    for one in stages:
+        work = f"{one.n_units:,.0f} {one.unit}" if one.n_units >= 1 else "< 1 unit" if one.n_units else "done"
+        taken = f"{_time(one.core_seconds):>11}{_time(one.seconds(n_cores)):>9}{_size(one.n_bytes):>9}"
+        to_stdout(f"{one.stage:<9}{work:>19}{taken}  {one.source}".rstrip())
+    totals = [sum(one.core_seconds for one in stages), sum(one.seconds(n_cores) for one in stages)]
+    to_stdout(f"{'all':<28}{_time(totals[0]):>11}{_time(totals[1]):>9}{_size(sum(one.n_bytes for one in stages)):>9}")
+    if gpu_hours is not None:
+        price = f", {gpu_hours * gpu_price:,.2f} at {gpu_price:g} an hour" if gpu_price else ""
+        to_stdout(f"all networks on a GPU at {gpu_tflops:g} TFLOP/s: {gpu_hours:.2g} hours{price}")
+
+
+def _time(seconds: float) -> str:
+    """Write a time in the unit that a person would use, so that a short one is not 0.00 h."""
+    if seconds <= 0:
+        return "-"
+    if seconds < 100:
+        return f"{seconds:.0f} s" if seconds >= 1 else "< 1 s"
+    if seconds < 100 * 60:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / _HOUR:.1f} h" if seconds < 100 * _HOUR else f"{seconds / _HOUR:,.0f} h"
+
+
+def _size(n_bytes: float) -> str:
+    if n_bytes <= 0:
+        return "-"
+    if n_bytes >= 1e10:
+        return f"{n_bytes / 1e9:,.0f} GB"
+    return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 1e6 else "< 1 MB"

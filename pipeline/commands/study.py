@@ -88,8 +88,8 @@ def run_stages(
     Raises:
         PuddleError: the stages to recompute are not among those to run.
     """
-    from pipeline.commands.expected_time import expected_seconds
     from pipeline.commands.headline import headline_lines
+    from pipeline.commands.time_model import expected_seconds
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.dispatcher import Limits
@@ -116,7 +116,7 @@ def run_stages(
             progress=show,
             how_to_run=options.command,
             source=options.source,
-            expected_seconds=functools.partial(expected_seconds, settings),
+            expected_seconds=functools.partial(expected_seconds, settings, store=store),
             limits=limits or Limits(),
         )
     if wanted[-1] is STAGES[-1]:

@@ -15,7 +15,7 @@ from pipeline.workflow.background import Background
 from pipeline.workflow.compiling import compiling
 from pipeline.workflow.dispatcher import Limits, run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, require, results_of
-from pipeline.workflow.progress import NOTHING, Progress, StudyPace
+from pipeline.workflow.progress import NOTHING, Progress, StudyTimes
 from pipeline.workflow.record import DrivenStudy, RecordingBar
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror, TracksRuns
@@ -53,7 +53,7 @@ def drive(
         progress: shows progress to the user.
         how_to_run: returns the command line that runs a stage, for messages.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
-        expected_seconds: returns about how long each stage will take on a number of cores [s], for the time left.
+        expected_seconds: returns about how long what is left of each stage takes on a number of cores [s].
         limits: how long an item may take.
         seconds_to_compile: returns about how long the kernels take that this machine has not compiled yet [s].
 
@@ -84,13 +84,13 @@ def drive(
         mirror = StudyMirror(settings, stages, store, tracker, background, source=source)
         record = DrivenStudy(settings, store, progress.say, source)
 
-        def study_pace() -> StudyPace:
+        def study_times() -> StudyTimes:
             expected = expected_seconds(cluster().n_cores)
             names = tuple(stage.name for stage in stages)
-            return StudyPace(names, {stage.name: expected.get(stage.name, 0.0) for stage in wanted})
+            return StudyTimes(names, {stage.name: expected.get(stage.name, 0.0) for stage in wanted})
 
-        pace = functools.cache(study_pace)
-        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, pace, how_to_run, limits)
+        times = functools.cache(study_times)
+        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, times, how_to_run, limits)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -117,7 +117,7 @@ class _Driver:
     cluster: Callable[[], Cluster]
     mirror: StudyMirror
     progress: Progress
-    pace: Callable[[], StudyPace]
+    times: Callable[[], StudyTimes]
     how_to_run: Callable[[str], str]
     limits: Limits
     of_other_code: set[str] = field(default_factory=set)  # stages of which the user knows that other code made items
@@ -155,9 +155,9 @@ class _Driver:
         left = sum((chain.left for chain in chains if chain.open), NOTHING)
         done = sum((chain.done for chain in chains), NOTHING)
         cluster = self.cluster()
-        name, unit, pace = run.stage.name, run.stage.unit, self.pace()
+        name, unit = run.stage.name, run.stage.unit
         with (
             self.mirror.live(run.stage, chains),
-            self.progress.stage(name, unit=unit, total=left + done, done=done, study=pace) as bar,
+            self.progress.stage(name, unit=unit, total=left + done, done=done, study=self.times()) as bar,
         ):
             run_stage(run, chains, cluster=cluster, bar=RecordingBar(bar, self.record), limits=self.limits)

@@ -146,7 +146,7 @@ def test_an_unreadable_folder_is_named(tmp_path):
 def test_finished_work_needs_no_disk_space(store, tmp_path):
     """Half of the space that a whole study needs is enough for the rest of one that is nearly done."""
     settings = parse(Settings, ON_DRY_LAND, name="tiny")
-    free = int(examination._SPARE_BYTES + examination.bytes_left_of_study(settings, {}) / 2)
+    free = int(examination._SPARE_BYTES + sum(one.n_bytes for one in examination.forecast_stages(settings)) / 2)
 
     def disk_of(root: Path) -> Check:
         found = examine_store(root, settings, free_bytes=lambda folder: free)

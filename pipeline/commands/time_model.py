@@ -1,0 +1,215 @@
+"""How long a study takes, and how much disk: one model, for the time left and for `puddle forecast`.
+
+An item of work takes the median time of those that the store has of its kind, by its units. Where the store has none,
+the constants below decide. They are of one core of an AMD EPYC (docs/performance.md), and right within a factor of two.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from pipeline.config.settings import Settings
+from pipeline.stages import STAGES, environments
+from pipeline.stages.segments import TrialSpec
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.graph import StageRun, results_of
+from pipeline.workflow.stage import AnyStage, Chain, Results, Upstream
+from tasks.simulation.batch import seconds_to_compile
+from tasks.world import ENVIRONMENTS, EnvironmentName
+
+_STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
+_LINKS = 6
+_SECONDS_PER_STEP = {"batch": 0.2e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
+_SECONDS_PER_MEMBER_STEP = 0.35e-6  # of one robot under one network, besides the network's arithmetic
+_FLOPS_OF_INFERENCE = 190e9  # per second
+_FLOPS_OF_TRAINING = {"cpu": 50e9, "cuda": 30e12}  # per second
+_PASSES_OF_TRAINING = 3  # forward, and twice as much backward
+_SECONDS_PER_ITERATION = 0.3e-3  # of training, besides arithmetic
+_SECONDS_PER_THROW_STEP = 0.1e-6
+_SECONDS_PER_PICTURE = 4.4e-3
+_SECONDS_PER_ITEM = {
+    "collect": 1.0,
+    "train": 4.0,
+    "pilot": 4.0,
+    "analyse": 1.0,
+}  # to import torch and the like; else as below
+_SECONDS_PER_OTHER_ITEM = 0.05
+_BYTES = {  # of an item, and of each unit; networks and generations follow from their sizes
+    "throws": (5e3, 7e3),
+    "pilots": (800e3, 0.0),
+    "designs": (15e3, 500.0),
+    "analyses": (500e3, 0.0),
+    "pictures": (1e4, 1.5e3),
+}
+_BYTES_PER_DESIGN = 200.0
+
+
+class _Kind(NamedTuple):
+    """What chains have in common whose units cost the same."""
+
+    stage: str
+    specification: str
+    environment: str
+
+
+class _Cost(NamedTuple):
+    """The cost of a weighted unit, as measured."""
+
+    seconds: float
+    n_bytes: float
+
+
+@dataclass(frozen=True)
+class StageForecast:
+    """The work of a stage that is left."""
+
+    stage: str
+    unit: str
+    n_units: float
+    core_seconds: float  # of GPUs, where these train
+    longest_chain_seconds: float  # no number of cores gets below this
+    n_bytes: float
+    source: str  # "store", "table", or both
+
+    def seconds(self, n_cores: float) -> float:
+        """Return the time that the stage takes on a number of cores [s]."""
+        return max(self.core_seconds / max(n_cores, 1.0), self.longest_chain_seconds)
+
+
+def forecast_stages(settings: Settings, store: Store | None = None) -> list[StageForecast]:
+    """Forecast what is left of each stage of a study.
+
+    Args:
+        settings: the study's settings.
+        store: holds what is done of it and tells what it cost, if there is one.
+    """
+    upstream: dict[str, Results] = {}
+    costs: dict[_Kind, _Cost] = {}
+    if store is not None:
+        with store.lock_to_read():
+            upstream, costs = _survey(settings, store)
+    return [_forecast(stage, settings, upstream, costs) for stage in STAGES]
+
+
+def expected_seconds(settings: Settings, n_cores: float, store: Store | None = None) -> dict[str, float]:
+    """Return about how long what is left of each stage takes on a number of cores, by name [s].
+
+    Kernels that this machine has not compiled yet count toward evolve, whose workers wait for most of them.
+    """
+    expected = {one.stage: one.seconds(n_cores) for one in forecast_stages(settings, store)}
+    expected["evolve"] += seconds_to_compile(settings.physics)
+    return expected
+
+
+def training_gpu_seconds(settings: Settings, tflops: float) -> float:
+    """Return the time in which a GPU trains all networks of a study at a rate [TFLOP/s]: [s]."""
+    n_networks = sum(stage.name == "train" for stage in STAGES for _ in stage.plan(settings))
+    return n_networks * settings.training.n_iterations * _flops_of_iteration(settings) / (tflops * 1e12)
+
+
+def _kind(stage: AnyStage, chain: Chain[Any]) -> _Kind:
+    return _Kind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""))
+
+
+def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Mapping[_Kind, _Cost]) -> StageForecast:
+    n_done = upstream[stage.name].n_done if stage.name in upstream else {}
+    n_units = total = longest = n_bytes = 0.0
+    sources = set[str]()
+    for chain in stage.plan(settings):
+        units = chain.units[n_done.get(chain.identity, 0) :]
+        if not units:
+            continue
+        measured = costs.get(_kind(stage, chain))
+        sources.add("store" if measured else "table")
+        size = sum(units) * chain.weight
+        seconds = size * measured.seconds if measured else _expected(stage, settings, chain, units)
+        n_bytes += size * measured.n_bytes if measured else _expected_bytes(stage, settings, units)
+        n_units, total = n_units + sum(units), total + seconds
+        longest = max(longest, seconds / _workers_per_generation(settings, chain))
+    return StageForecast(stage.name, stage.unit, n_units, total, longest, n_bytes, " and ".join(sorted(sources)))
+
+
+def _survey(settings: Settings, store: Store) -> tuple[dict[str, Results], dict[_Kind, _Cost]]:
+    """Find what the store has of a study, and the median cost of a unit of each kind."""
+    upstream: dict[str, Results] = {}
+    samples: dict[_Kind, list[_Cost]] = {}
+    for stage in STAGES:
+        chains = StageRun(stage, settings, upstream, store, lambda line: None).chains()
+        weights = {chain.identity: chain.weight for chain in stage.plan(settings)}
+        for progress in chains:
+            weight = weights[progress.chain.identity]
+            for manifest, units in zip(progress.manifests, progress.chain.units, strict=False):
+                if units * weight > 0 and _on_one_core(manifest):
+                    n_bytes = sum(entry.n_bytes for entry in manifest.files.values())
+                    cost = _Cost(manifest.record["seconds"] / (units * weight), n_bytes / (units * weight))
+                    samples.setdefault(_kind(stage, progress.chain), []).append(cost)
+        upstream[stage.name] = results_of(stage, chains)
+    return upstream, {kind: _Cost(*map(statistics.median, zip(*found, strict=True))) for kind, found in samples.items()}
+
+
+def _on_one_core(manifest: Manifest) -> bool:
+    return "seconds" in manifest.record and manifest.record.get("execution", {}).get("designs_per_batch") is None
+
+
+def _workers_per_generation(settings: Settings, chain: Chain[Any]) -> int:
+    """Return how many workers compute a generation of a trial at the same time; 1 for other chains."""
+    if not isinstance(chain.spec, TrialSpec):
+        return 1
+    size = environments.execution_options(settings, chain.spec.environment).designs_per_batch
+    return math.ceil(settings.evolution.afpo.population_size / size) if size else 1
+
+
+def _expected(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
+    fixed = _SECONDS_PER_ITEM.get(stage.name, _SECONDS_PER_OTHER_ITEM)
+    return len(units) * fixed + sum(units) * _PER_UNIT[stage.name](settings, chain)
+
+
+def _expected_bytes(stage: AnyStage, settings: Settings, units: tuple[float, ...]) -> float:
+    if stage.name == "train":
+        return len(units) * (4.0 * settings.network.n_weights + 20e3)
+    per_item, per_unit = _BYTES.get(stage.unit, (1e4, _BYTES_PER_DESIGN * settings.evolution.afpo.population_size))
+    return per_item * len(units) + per_unit * sum(units)
+
+
+def _rollout(settings: Settings, environment: EnvironmentName) -> float:
+    """Return the time of one rollout of one robot [s]."""
+    n_steps = settings.rollout.n_settle + settings.rollout.n_measure
+    n_members = environments.number_of_members(settings, environment)
+    engine: str = settings.work.engine
+    if engine == "batch" and (settings.physics.link_collisions or settings.physics.passive_joints == "locked"):
+        engine = "rigid"
+    if ENVIRONMENTS[environment].networks == "none":
+        return n_steps * n_members * _SECONDS_PER_STEP[engine]
+    physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
+    return n_steps * n_members * (physics + _LINKS * environments.network_flops(settings) / _FLOPS_OF_INFERENCE)
+
+
+def _flops_of_iteration(settings: Settings) -> float:
+    return _PASSES_OF_TRAINING * settings.training.batch_size * environments.network_flops(settings)
+
+
+def _generation(settings: Settings, environment: EnvironmentName) -> float:
+    """Return the time of one generation of a trial [s]."""
+    return settings.evolution.afpo.population_size * _rollout(settings, environment)
+
+
+_PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
+    "collect": lambda settings, chain: (
+        (getattr(chain.spec, "throws", settings.throws).n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
+    ),
+    "train": lambda settings, chain: (
+        _SECONDS_PER_ITERATION + _flops_of_iteration(settings) / _FLOPS_OF_TRAINING[settings.training.device]
+    ),
+    "pilot": lambda settings, chain: chain.spec.n_generations * _generation(settings, "residual_slush"),
+    "evolve": lambda settings, chain: _generation(settings, chain.spec.environment),
+    "transfer": lambda settings, chain: _generation(settings, chain.spec.environment),
+    "assess": lambda settings, chain: _rollout(settings, "true_slush") + _rollout(settings, "residual_slush"),
+    "analyse": lambda settings, chain: chain.weight * _rollout(settings, "dry_land"),
+    "report": lambda settings, chain: _SECONDS_PER_PICTURE,
+}
+"""Seconds of a unit of each stage's work."""

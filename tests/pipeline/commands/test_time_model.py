@@ -1,0 +1,95 @@
+"""The time and disk that a study takes: by what the store measured, or else by the table of constants."""
+
+import json
+import statistics
+
+import pytest
+from command_line import call, refused
+
+from pipeline.commands import time_model
+from pipeline.commands.time_model import StageForecast, expected_seconds, forecast_stages, training_gpu_seconds
+from pipeline.config.loading import load, preset_names, preset_path
+from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
+from tasks.simulation import batch
+from tasks.world import Physics
+
+# Core-seconds of `puddle study --preset laptop --set 'grid.depths=[2,9]'` on an AMD EPYC, beside other work.
+LAPTOP = {"train": 327, "evolve": 378, "transfer": 45, "assess": 18, "analyse": 25, "report": 109}
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_stage_has_a_time_that_cores_shorten(name):
+    settings = load(Settings, preset_path(name))
+    one, many = expected_seconds(settings, 1.0), expected_seconds(settings, 64.0)
+    assert list(one) == [stage.name for stage in STAGES]
+    assert all(0 <= many[stage] <= one[stage] for stage in one) and one["evolve"] > many["evolve"]
+
+
+def test_the_table_is_within_a_factor_of_two_of_a_recorded_study():
+    settings = load(Settings, preset_path("laptop"), ["grid.depths=[2,9]"])
+    forecast = {one.stage: one.core_seconds for one in forecast_stages(settings)}
+    for stage, seconds in LAPTOP.items():
+        assert 0.5 < forecast[stage] / seconds < 2, stage
+
+
+def test_a_stage_takes_its_longest_chain_or_its_share_of_the_cores():
+    stage = StageForecast("evolve", "generations", 10, 60.0, 20.0, 1e6, "table")
+    assert [stage.seconds(n) for n in (1, 2, 8)] == [60, 30, 20]
+
+
+def test_what_is_done_costs_nothing(study, settings):
+    left = forecast_stages(settings, study[0])
+    assert all(one.n_units == one.core_seconds == one.n_bytes == 0 and not one.source for one in left)
+
+
+def test_what_is_left_takes_the_median_time_of_what_the_store_has(study, settings):
+    store, upstream = study
+    grid = settings.grid.model_copy(update={"n_trials": settings.grid.n_trials + 1})
+    more = settings.model_copy(update={"grid": grid})
+    evolve = next(stage for stage in STAGES if stage.name == "evolve")
+    costs: dict[str, list[float]] = {}
+    for chain in evolve.plan(settings):
+        for manifest, units in zip(upstream["evolve"].done[chain.identity], chain.units, strict=True):
+            costs.setdefault(chain.spec.environment, []).append(manifest.record["seconds"] / (units * chain.weight))
+    added = [chain for chain in evolve.plan(more) if chain.identity not in upstream["evolve"].done]
+    expected = sum(
+        statistics.median(costs[chain.spec.environment]) * chain.weight * sum(chain.units) for chain in added
+    )
+    left = {one.stage: one for one in forecast_stages(more, store)}["evolve"]
+    assert left.source == "store" and left.n_units == sum(sum(chain.units) for chain in added)
+    assert left.core_seconds == pytest.approx(expected)
+
+
+def test_kernels_that_are_not_compiled_yet_take_time(monkeypatch):
+    settings = load(Settings, preset_path("smoke"))
+    monkeypatch.setattr(time_model, "seconds_to_compile", lambda physics: 0.0)
+    compiled = expected_seconds(settings, 2.0)
+    monkeypatch.setattr(time_model, "seconds_to_compile", lambda physics: 50.0)
+    assert expected_seconds(settings, 2.0) == compiled | {"evolve": compiled["evolve"] + 50.0}
+
+
+def test_only_the_kernels_of_the_engine_in_use_are_waited_for(monkeypatch):
+    left = {"tasks.simulation.rigid_bodies.step.advance_robots": 30, "tasks.simulation.trees.step.advance": 20}
+    monkeypatch.setattr(batch, "uncompiled_kernels", lambda: left | {"tasks.design.genes.find_fault": 1})
+    assert batch.seconds_to_compile(Physics()) == 21
+    assert batch.seconds_to_compile(Physics(link_collisions=True)) == 31
+
+
+def test_a_gpu_trains_at_its_stated_rate():
+    """Ten networks of 4 × 256, 50,000 iterations of 262,144 rows: 6 operations a weight and row."""
+    settings = load(Settings, preset_path("paper"))
+    n_weights = 256 * (6 + 3 * 256 + 6)
+    seconds = 10 * 50_000 * 262_144 * 6 * n_weights / 40e12
+    assert training_gpu_seconds(settings, 40.0) == pytest.approx(seconds, rel=0.01)
+
+
+def test_the_command_prints_a_table_and_json(tmp_path, capsys):
+    given = ("forecast", "--preset", "paper", "--store", str(tmp_path / "none"), "--cores", "64")
+    assert call(*given, "--gpu-tflops", "40", "--gpu-price", "2.5") == 0
+    out = capsys.readouterr().out
+    assert "study paper: the rest of the work on 64 cores" in out and "at 40 TFLOP/s: 1.1 hours, 2.7" in out
+    assert call(*given, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["n_cores"] == 64 and [one["stage"] for one in found["stages"]] == [stage.name for stage in STAGES]
+    assert "0.001" in refused(capsys, *given, "--gpu-tflops", "0")
