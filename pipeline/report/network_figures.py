@@ -62,7 +62,7 @@ def data_set(throws: ThrowPaths | None) -> Figure:
         edges = np.linspace(sizes[0], sizes[-1], 4)
         titles = [f"{low:.1f} to {high:.1f} m long" for low, high in pairwise(edges)]
         group = np.searchsorted(edges[1:-1], throws.length_scale)
-    figure = Figure(figsize=(FIGURE_WIDTH, 2.0 * len(titles) + 0.5), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.6 * len(titles) + 0.5), layout="constrained")
     panels = figure.subplots(len(titles), 1, sharex=True, sharey=True, squeeze=False).ravel()
     for number, (panel, title) in enumerate(zip(panels, titles, strict=True)):
         _paths(panel, throws, group == number, _COLORS[number % len(_COLORS)])
