@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
@@ -60,13 +61,14 @@ def run(
     cluster: Cluster,
     stages: Sequence[AnyStage] = STAGES,
     say: Callable[[str], None] = silent,
+    clock: Callable[[], float] = time.monotonic,
 ) -> dict[str, Results]:
     """Run stages one after the other and return the results of each."""
     upstream: dict[str, Results] = {}
     for stage in stages:
         stage_run = StageRun(stage, settings, upstream, store, say)
         chains = stage_run.chains()
-        run_stage(stage_run, chains, cluster=cluster, bar=NoBar())
+        run_stage(stage_run, chains, cluster=cluster, bar=NoBar(), clock=clock)
         upstream[stage.name] = results_of(stage, chains)
     return upstream
 
