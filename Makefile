@@ -53,11 +53,11 @@ $(VENV)/.torch-%: constraints.txt
 	@touch $@
 
 $(INSTALLED): $(VENV)/.torch-$(TORCH) pyproject.toml constraints.txt
-	@$(call install,--constraint constraints.txt --editable .)
+	@$(call install,-C editable_mode=compat --constraint constraints.txt --editable .)
 	@touch $@
 
 $(VENV)/.installed-%: $(INSTALLED)
-	@$(call install,--constraint constraints.txt --editable ".[$*]")
+	@$(call install,-C editable_mode=compat --constraint constraints.txt --editable ".[$*]")
 	@touch $@
 
 study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row-small, row, desk, paper, pontoon, tank)

@@ -21,10 +21,13 @@ import pytest
 from database_template import copied_databases
 
 from pipeline.cluster import Cluster, ray_cluster
+from pipeline.cluster.on_ray import LOCAL_ENVIRONMENT
 from tasks.design import N_LINKS, Designs
 
 hypothesis.settings.register_profile("puddle", deadline=None)  # an example may compile a kernel, or wait for a core
 hypothesis.settings.load_profile("puddle")
+
+os.environ.update(LOCAL_ENVIRONMENT)  # ray reads it on import, which a test may do before the first cluster
 
 MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4e9
@@ -111,7 +114,7 @@ def empty_databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="session")
 def local_ray() -> Iterator[Cluster]:
     """A Ray cluster of two cores. Tests that share it leave nothing running on it."""
-    with ray_cluster("local", n_workers=2) as cluster:
+    with ray_cluster(n_workers=2) as cluster:
         yield cluster
 
 

@@ -7,7 +7,7 @@ results.
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket
 from pipeline.cluster.on_ray import Spread, ray_cluster
-from pipeline.cluster.process import pin_threads
+from pipeline.cluster.process import prepare_process
 from pipeline.cluster.serial import serial_cluster
 
 __all__ = [
@@ -18,7 +18,7 @@ __all__ = [
     "Spread",
     "TaskFailed",
     "Ticket",
-    "pin_threads",
+    "prepare_process",
     "ray_cluster",
     "serial_cluster",
 ]

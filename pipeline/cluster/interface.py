@@ -1,6 +1,7 @@
 """The interface of a cluster: submit pure functions, collect their outcomes."""
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -66,7 +67,13 @@ class Cluster(Protocol):
         """Store a large immutable value, such as an ensemble's weights, once for many calls."""
 
     def submit(
-        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
+        self,
+        function: Callable[..., Any],
+        *args: Any,
+        n_cores: float = 1.0,
+        n_gpus: float = 0.0,
+        seconds: float = math.inf,
+        name: str = "",
     ) -> Ticket:
         """Return the ticket of ``function(*args)``, which is queued.
 
@@ -76,17 +83,12 @@ class Cluster(Protocol):
             n_cores: cores that the call occupies. A function that only waits for its own :class:`Spread` takes 0;
                 each such call is a process, so the caller limits their number by memory.
             n_gpus: GPUs that the call occupies.
+            seconds: time after which its worker is ended [s]; a call in this process goes on.
             name: shown in messages; by default the function's name.
         """
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
         """Collect one outcome, on Ray in no particular order; None if none arrives within ``timeout`` [s]."""
-
-    def started(self) -> set[Ticket]:
-        """Return the uncollected calls that a worker has started; the others wait for a core."""
-
-    def cancel(self, ticket: Ticket) -> None:
-        """Stop one uncollected call, whose outcome will never arrive."""
 
     def cancel_all(self) -> None:
         """Stop every running call and drop every queued one."""

@@ -1,10 +1,9 @@
 """A cluster of Ray workers: this machine's cores, or an existing cluster.
 
-Only this package imports Ray: this module, the supervisor that starts Ray, and the probe of the preflight check. It is
-imported late, because it takes a third of a second that ``--help`` should not pay.
+Only this module imports Ray, and late, because it takes a third of a second that ``--help`` should not pay.
 
-Ray's wire format is pickle: whoever can submit to a cluster can run code on it. A local cluster is therefore protected
-by a token that only this user can read; an existing one keeps its owner's rules.
+Ray's wire format is pickle: whoever can submit to a cluster can run code on it. A local cluster therefore listens on
+the loopback and is protected by a token that only this user can read; an existing one keeps its owner's rules.
 """
 
 import contextlib
@@ -15,35 +14,62 @@ import logging
 import math
 import os
 import re
+import socket
 import sys
 import threading
 import time
-import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
-from pipeline.cluster.preflight import check_reachable, server_of, unusable
-from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_deferred, signals_unwind
-from pipeline.cluster.session import SESSIONS_FOLDER, Session, session
-from pipeline.cluster.watchdog import CHECK_INTERVAL, NODE_DIED, RAY_DIED, Calls, end_if_silent, end_if_unreachable
+from pipeline.cluster.process import (
+    PINNED_THREADS,
+    end_at_once,
+    ended_by_signals,
+    limited,
+    memory_bounded,
+    number_of_cores,
+    signals_unwind,
+)
+from pipeline.cluster.session import SESSIONS_FOLDER, session_folder
 from pipeline.errors import PuddleError
 
+OBJECT_STORE_BYTES = 512 * 2**20  # shared memory of a local cluster; ensembles and results take megabytes
+
 _N_INFRASTRUCTURE_RETRIES = 1  # retries of a task after its worker, node or memory failed, not after its own exception
-_SHUTDOWN_SECONDS = 5.0  # time for Ray to end by itself [s]
+_START_SECONDS = 120.0  # time to start Ray or to join a cluster [s]; ten are usual, and Ray itself tries for minutes
+_SHUTDOWN_SECONDS = 10.0  # time for Ray to end by itself [s]; a server that is gone lets it wait for ever
+_CHECK_INTERVAL = 1.0  # time between two checks of Ray's servers [s]
+_GONE_SECONDS = 45.0  # time that an existing cluster may be silent [s]; Ray ends the process after a minute
+_SERVERS = ("gcs_server", "raylet")  # ray's names for the processes without which it is dead
 _PACKAGES = ("tasks", "pipeline")  # sent to the workers of an existing cluster, which need not have them on disk
 
+_ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # a cancelled call's error is never collected
+    "RAY_task_oom_retries": str(_N_INFRASTRUCTURE_RETRIES),  # unlimited by default
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # Ray's future default; without it Ray prints a warning
+    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",  # under `uv run`, Ray would build the environment anew for each worker
+}
+LOCAL_ENVIRONMENT = _ENVIRONMENT | {
+    "RAY_AUTH_MODE": "token",
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # as there, Ray then listens on the loopback alone
+    # Ray makes its first driver wait for the workers that it starts in advance: for ever, if one is killed meanwhile.
+    "RAY_enable_worker_prestart": "0",
+    "RAY_prestart_worker_first_driver": "0",
+}
+"""Ray reads these once, on import: a process has one kind of cluster."""
 
-@dataclass(frozen=True)
-class _Connection:
-    """A connection to a running Ray."""
-
-    is_alive: Callable[[], bool]
-    calling: Calls  # held during every call into Ray, so that the watchdog sees it hang
-    death_message: str
-    has_cores: bool = False  # as long as it is sound
+_RAY_DIED = (
+    "Ray on this machine died: one of its servers is gone (killed, or out of memory).\n"
+    "Committed results are safe: run the same command again to resume. Fewer `--workers` need less memory."
+)
+_UNREACHABLE = (
+    "the Ray cluster at {address} does not answer: its head, this machine's node or the network is down.\n"
+    "Committed results are safe: run the same command again once it answers (`ray status`)."
+)
 
 
 @contextlib.contextmanager
@@ -51,19 +77,15 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
     """Join an existing Ray cluster, or start a local one for as long as the context lasts.
 
     Args:
-        address: ``host:port`` of an existing cluster that this machine is a node of, or ``auto``. Defaults to
-            RAY_ADDRESS; without either, a local cluster starts.
-        n_workers: number of cores for a local cluster; all by default. Ignored by an existing cluster.
+        address: ``host:port`` of an existing cluster that this machine is a node of, or ``auto``; None for a local
+            cluster. RAY_ADDRESS counts for ``auto`` alone: another tool may have set it.
+        n_workers: number of cores for a local cluster; by default those that this process may use.
     """
     if n_workers is not None and n_workers < 1:
         raise PuddleError(f"workers: expected at least 1, got {n_workers}")
-    address = address or os.environ.get("RAY_ADDRESS") or "local"
-    with (
-        signals_unwind() as catch_signals,
-        _local(n_workers) if address == "local" else _existing(address) as connection,
-    ):
+    where = _local(n_workers or number_of_cores()) if address is None else _existing(address)
+    with signals_unwind() as catch_signals, where as cluster:
         catch_signals()  # ray.init installs its own handler, which prints a native stack
-        cluster = _Ray(connection)
         try:
             yield cluster
         except BaseException:
@@ -72,25 +94,20 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
 
 
 class _Ray:
-    def __init__(self, connection: _Connection) -> None:
-        self._connection, self._calling = connection, connection.calling
+    def __init__(self, is_alive: Callable[[], bool], death_message: str) -> None:
+        self._is_alive, self._death_message = is_alive, death_message
         self._numbers = itertools.count()
         self._running: dict[Any, Ticket] = {}
-        self._key_prefix = f"puddle/{uuid.uuid4().hex}/".encode()
 
     def _check_alive(self) -> None:
-        """Raise at once if Ray is dead; Ray itself takes a minute to notice and fails every call meanwhile."""
-        if not self._connection.is_alive():
+        """Raise at once if Ray is dead; Ray itself takes a minute to notice and then ends the process."""
+        if not self._is_alive():
             self._running.clear()
-            raise PuddleError(self._connection.death_message)
+            raise PuddleError(self._death_message)
 
     @property
     def n_cores(self) -> float:
-        n_cores = self._resource("CPU")
-        if self._connection.has_cores and not n_cores:  # its raylet is stopped, so Ray counts the node as dead
-            self._running.clear()
-            raise PuddleError(self._connection.death_message)
-        return n_cores
+        return self._resource("CPU")
 
     @property
     def n_gpus(self) -> float:
@@ -100,8 +117,7 @@ class _Ray:
         import ray
 
         self._check_alive()
-        with self._calling:
-            return float(ray.cluster_resources().get(name, 0.0))
+        return float(ray.cluster_resources().get(name, 0.0))
 
     @property
     def n_running(self) -> int:
@@ -110,16 +126,19 @@ class _Ray:
     def share(self, value: Any) -> Handle:
         import ray
 
-        with self._calling:
-            return Handle(ray.put(value))
+        return Handle(ray.put(value))
 
     def submit(
-        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
+        self,
+        function: Callable[..., Any],
+        *args: Any,
+        n_cores: float = 1.0,
+        n_gpus: float = 0.0,
+        seconds: float = math.inf,
+        name: str = "",
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
-        remote = _remote_call(n_cores, ticket.name, n_gpus)
-        with self._calling:
-            reference = remote.remote(self._start_key(ticket), function, *references(args))
+        reference = _remote_call(n_cores, ticket.name, n_gpus).remote(seconds, function, *references(args))
         self._running[reference] = ticket
         return ticket
 
@@ -133,112 +152,128 @@ class _Ray:
         while not ready:
             self._check_alive()
             left = end - time.monotonic()
-            with self._calling:
-                timeout_now = max(0.0, min(left, CHECK_INTERVAL))
-                ready, _ = ray.wait(list(self._running), num_returns=1, timeout=timeout_now)
+            ready, _ = ray.wait(list(self._running), num_returns=1, timeout=max(0.0, min(left, _CHECK_INTERVAL)))
             if not ready and left <= 0:
                 return None
         ticket = self._running.pop(ready[0])
-        with self._calling:
-            return ticket, _outcome(ticket.name, ready[0], death_message=self._connection.death_message)
-
-    def started(self) -> set[Ticket]:
-        from ray.experimental.internal_kv import _internal_kv_list
-
-        self._check_alive()
-        with self._calling:
-            found = set(_internal_kv_list(self._key_prefix))
-        return {ticket for ticket in self._running.values() if self._start_key(ticket) in found}
-
-    def _start_key(self, ticket: Ticket) -> bytes:
-        return self._key_prefix + str(ticket.number).encode()
-
-    def cancel(self, ticket: Ticket) -> None:
-        (reference,) = (reference for reference, running in self._running.items() if running is ticket)
-        with self._calling:
-            _cancel([reference])
-        del self._running[reference]
+        return ticket, _outcome(ticket.name, ready[0], death_message=self._death_message)
 
     def cancel_all(self) -> None:
-        with self._calling:
+        if self._is_alive():
             _cancel(self._running)
         self._running.clear()
 
 
 @contextlib.contextmanager
-def _local(n_workers: int | None) -> Iterator[_Connection]:
+def _local(n_workers: int) -> Iterator[_Ray]:
     """Start Ray on this machine for this user alone, and stop it at the end."""
-    import ray
-    import ray._private.ray_constants
-
-    # Ray's servers listen on the node's address. Ray accepts the loopback as that address only if this variable says
-    # so, as on Windows and macOS, and reads the variable once, on import.
-    on_loopback = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
-    token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": None}
-    with _environment(token | on_loopback), contextlib.ExitStack() as stack:
+    with session_folder() as folder:
+        os.environ.update(PINNED_THREADS, **LOCAL_ENVIRONMENT, RAY_AUTH_TOKEN_PATH=str(folder / "token"))
+        os.environ.pop("RAY_AUTH_TOKEN", None)
+        advice = (
+            f"It needs free space in {SESSIONS_FOLDER} and /dev/shm and memory for {n_workers} workers. "
+            f"`--workers 0` runs without Ray."
+        )
         try:
-            ours = stack.enter_context(session(n_workers))
-            stack.enter_context(_environment({"RAY_AUTH_TOKEN_PATH": str(ours.token)}))
-            constants = ray._private.ray_constants
-            stack.callback(setattr, constants, "ENABLE_RAY_CLUSTER", constants.ENABLE_RAY_CLUSTER)
-            constants.ENABLE_RAY_CLUSTER = False
-            stack.callback(_shut_down, ours)
-            with ours.calling:
-                _connect(address=ours.address)
-        except Exception as error:
-            raise PuddleError(
-                f"Ray did not start on this machine: {error}\nIt needs free space in {SESSIONS_FOLDER} and /dev/shm "
-                f"and memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` runs without Ray."
-            ) from error
-        yield _Connection(ours.is_alive, ours.calling, RAY_DIED, has_cores=True)
+            with _joined(
+                "Ray did not start on this machine",
+                advice,
+                address="local",
+                num_cpus=n_workers,
+                object_store_memory=OBJECT_STORE_BYTES,
+                include_dashboard=False,
+                _node_ip_address="127.0.0.1",
+                _temp_dir=str(folder / "ray"),
+            ):
+                yield _Ray(_servers_alive(), _RAY_DIED)
+        finally:
+            del os.environ["RAY_AUTH_TOKEN_PATH"]
 
 
-def _shut_down(ours: Session) -> None:
-    import ray
+def _servers_alive() -> Callable[[], bool]:
+    import psutil
 
-    ends_ray = threading.Timer(_SHUTDOWN_SECONDS, ours.kill)  # a stopped raylet would let ray.shutdown wait for ever
-    ends_ray.daemon = True
-    ends_ray.start()
-    with ours.calling:
-        ray.shutdown()
-    ends_ray.cancel()
+    servers = [process for process in psutil.Process().children() if process.name() in _SERVERS]
+    return lambda: all(one.is_running() and one.status() != psutil.STATUS_ZOMBIE for one in servers)
 
 
 @contextlib.contextmanager
-def _existing(address: str) -> Iterator[_Connection]:
+def _existing(address: str) -> Iterator[_Ray]:
     """Connect to a running cluster under its own token settings, and send it our packages."""
-    check_reachable(address)
-    import ray
-
-    calling, over = Calls(), threading.Event()
-    with _environment({}):
+    advice = (
+        "Expected a running cluster with this machine's versions of Python and Ray and, if it requires a token, "
+        "RAY_AUTH_MODE=token with RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH. "
+        "Check the address (`ray status` on the head), or omit --address to use this machine."
+    )
+    what = f"cannot use the Ray cluster at {address}"
+    os.environ.update(_ENVIRONMENT)
+    if address != "auto":
+        server = _server_of(address, what, advice)
         try:
-            packages = [_folder_of(package) for package in _PACKAGES]
-            _connect(address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages})
+            socket.create_connection(server, timeout=15.0).close()
+        except OSError as error:
+            raise PuddleError(f"{what}: nothing answers there ({error})\n{advice}") from error
+    packages = [_folder_of(package) for package in _PACKAGES]
+    with _joined(what, advice, address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages}):
+        import ray
+
+        head = _server_of(ray.get_runtime_context().gcs_address, what, advice)
+        yield _Ray(_answering(head), _UNREACHABLE.format(address=address))
+
+
+def _server_of(address: str, what: str, advice: str) -> tuple[str, int]:
+    parts = urlsplit(f"//{address}")
+    with contextlib.suppress(ValueError):
+        if parts.hostname and parts.port is not None:
+            return parts.hostname, parts.port
+    raise PuddleError(f"{what}: expected host:port or auto\n{advice}")
+
+
+def _answering(server: tuple[str, int]) -> Callable[[], bool]:
+    """Return a function that returns whether a server has accepted a connection in the last 45 s."""
+    answered = asked = time.monotonic()
+
+    def is_alive() -> bool:
+        nonlocal answered, asked
+        if time.monotonic() - asked > _CHECK_INTERVAL:
+            asked = time.monotonic()
+            with contextlib.suppress(OSError):
+                socket.create_connection(server, timeout=5.0).close()
+                answered = time.monotonic()
+        return time.monotonic() - answered < _GONE_SECONDS
+
+    return is_alive
+
+
+@contextlib.contextmanager
+def _joined(what: str, advice: str, **options: Any) -> Iterator[None]:
+    """Connect to Ray within two minutes, and disconnect at the end; messages say what failed and give advice."""
+    late = functools.partial(end_at_once, f"puddle: {what}: no answer for {_START_SECONDS:.0f} s\n{advice}", 2)
+    stopped = "Stopped while Ray was starting. Committed results are safe: the same command resumes."
+    with _deadline(_START_SECONDS, late), ended_by_signals(stopped):  # Ray does not bear an exception here
+        import ray
+
+        try:
+            ray.init(log_to_driver=False, logging_level=logging.CRITICAL, **options)
         except Exception as error:
-            raise unusable(address, str(error)) from error
-        else:
-            server = server_of(ray.get_runtime_context().gcs_address if address == "auto" else address)
-            threading.Thread(target=end_if_unreachable, args=(address, *server, over), daemon=True).start()
-            threading.Thread(target=end_if_silent, args=(calling, over), daemon=True).start()
-            yield _Connection(lambda: True, calling, NODE_DIED.format(address=address))
+            raise PuddleError(f"{what}: {error}\n{advice}") from error
+    with contextlib.redirect_stdout(sys.stderr):  # ray prints pages when one of its processes dies
+        try:
+            yield
         finally:
-            over.set()
-            ray.shutdown()
+            with _deadline(_SHUTDOWN_SECONDS, functools.partial(end_at_once, f"puddle: {_RAY_DIED}", 2)):
+                ray.shutdown()
 
 
-def _connect(**where: Any) -> None:
-    import ray
-    import ray._private.worker
-    from ray._raylet import AuthenticationTokenLoader, Config  # type: ignore[attr-defined]  # compiled
-
-    # Ray reads the environment once, on import. Make it read it again, as its own start-up code does.
-    Config.initialize("")
-    AuthenticationTokenLoader.instance().reset_cache()
-    # The outcome reports a dead worker; Ray would also print a paragraph on stdout, despite log_to_driver.
-    ray._private.worker._worker_logs_enabled = False
-    with signals_deferred():  # if interrupted while starting, Ray may crash and leave its files behind
-        ray.init(log_to_driver=False, logging_level=logging.ERROR, **where)
+@contextlib.contextmanager
+def _deadline(seconds: float, late: Callable[[], object]) -> Iterator[None]:
+    timer = threading.Timer(seconds, late)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _folder_of(package: str) -> str:
@@ -275,7 +310,7 @@ class Spread:
             return [self._function(item, *self._shared) for item in items]
         name = name_of(self._function)
         remote = _remote_call(1.0, name)
-        references = [remote.remote(None, self._function, item, *self._stored) for item in items]
+        references = [remote.remote(math.inf, self._function, item, *self._stored) for item in items]
         results: list[Any] = []
         try:
             for index, reference in enumerate(references):
@@ -288,24 +323,9 @@ class Spread:
         return results
 
 
-def _call(start_key: bytes | None, function: Callable[..., Any], *args: Any) -> Any:
-    with _recorded_as_started(start_key) if start_key else contextlib.nullcontext(), memory_bounded():
+def _call(seconds: float, function: Callable[..., Any], *args: Any) -> Any:
+    with limited(seconds), memory_bounded():
         return function(*args)
-
-
-@contextlib.contextmanager
-def _recorded_as_started(key: bytes) -> Iterator[None]:
-    """Record, in the key-value store of Ray's head, that a call runs: Ray does not say which calls run and which wait.
-
-    The entry of a call whose worker was killed stays (50 bytes), so a call that Ray retries counts as started at once.
-    """
-    from ray.experimental.internal_kv import _internal_kv_del, _internal_kv_put
-
-    _internal_kv_put(key, b"")
-    try:
-        yield
-    finally:
-        _internal_kv_del(key)
 
 
 @functools.cache
@@ -354,29 +374,3 @@ def _cancel(references: Any) -> None:
 def _in_ray_worker() -> bool:
     ray = sys.modules.get("ray")
     return bool(ray and ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE)
-
-
-@contextlib.contextmanager
-def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
-    """Set environment variables that Ray reads; None unsets one."""
-    always = {
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # a cancelled call's error is never collected
-        "RAY_task_oom_retries": str(_N_INFRASTRUCTURE_RETRIES),  # unlimited by default
-        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # Ray's future default; without it Ray prints a warning
-    }
-    changes = always | dict(changes)
-    before = {name: os.environ.get(name) for name in changes}
-    _set_environment(changes)
-    try:
-        yield
-    finally:
-        _set_environment(before)
-
-
-def _set_environment(values: Mapping[str, str | None]) -> None:
-    for name, value in values.items():
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value

@@ -1,6 +1,8 @@
 """Rules for every process of a study: one thread, bounded memory, and signals that leave nothing behind."""
 
 import contextlib
+import faulthandler
+import math
 import os
 import resource
 import signal
@@ -15,14 +17,29 @@ PINNED_THREADS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_
 """One thread per process: torch's results change in their last bits with the number of threads, and a study's results
 must not depend on the number of cores."""
 
-_DEFERRED_SECONDS = 2.0  # longest time that a signal is deferred [s]
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _SHARE_OF_FREE_MEMORY = 0.9  # share of the free memory that one task may take
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
 
 
-def pin_threads() -> None:
-    """Limit this process and its children to one thread each. Call it before numpy, numba or torch is imported."""
-    os.environ.update(PINNED_THREADS)
+def prepare_process() -> None:
+    """Set what libraries read from the environment, for this process and its children. Call it before importing them.
+
+    One thread each; figures without a display, whatever a notebook has chosen; and no proxy for the loopback.
+    """
+    os.environ.update(PINNED_THREADS, MPLBACKEND="agg")
+    for name in ("no_proxy", "NO_PROXY"):
+        others = [host for host in os.environ.get(name, "").split(",") if host and host not in _LOOPBACK]
+        os.environ[name] = ",".join([*others, *_LOOPBACK])
+
+
+def number_of_cores() -> int:
+    """Return the cores that this process may use: its affinity (also Slurm's) and its container's quota, at least 1."""
+    cores = float(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    with contextlib.suppress(OSError, ValueError):  # not in a container, or in one without a quota
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        cores = min(cores, int(quota) / int(period))
+    return max(1, int(cores))
 
 
 @contextlib.contextmanager
@@ -45,6 +62,17 @@ def memory_bounded() -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+@contextlib.contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """End this process if a block takes longer, even within compiled code: what hangs must not hold a core for ever."""
+    if math.isfinite(seconds):
+        faulthandler.dump_traceback_later(seconds, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def free_memory() -> int:
@@ -99,35 +127,15 @@ def _handled(numbers: Sequence[int], handle: Callable[[int, FrameType | None], N
 
 
 @contextlib.contextmanager
-def signals_deferred() -> Iterator[None]:
-    """Defer SIGINT, SIGTERM and SIGHUP until the end of a block that must not be interrupted.
+def ended_by_signals(message: str) -> Iterator[None]:
+    """Let SIGINT, SIGTERM and SIGHUP end this process at once within a block that must not be unwound."""
 
-    The block has two seconds from the first signal. After that the process ends at once, for which the store and the
-    supervisor of Ray's processes are designed. An ignored signal stays ignored.
-    """
-    if threading.current_thread() is not threading.main_thread():
+    def end(number: int, _frame: FrameType | None) -> NoReturn:
+        end_at_once(message, 128 + number)
+
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    with _handled(numbers if threading.current_thread() is threading.main_thread() else (), end):
         yield
-        return
-    received: list[int] = []
-
-    def defer(number: int, _frame: FrameType | None) -> None:
-        if not received:
-            last_resort.start()
-        received.append(number)
-
-    def end() -> None:
-        message = "Stopped while Ray was starting. Committed results are safe: the same command resumes."
-        end_at_once(message, 128 + received[0])
-
-    last_resort = threading.Timer(_DEFERRED_SECONDS, end)
-    last_resort.daemon = True
-    try:
-        with _handled((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), defer):
-            yield
-    finally:
-        last_resort.cancel()
-        if received:
-            signal.raise_signal(received[0])
 
 
 def end_at_once(message: str, code: int) -> NoReturn:

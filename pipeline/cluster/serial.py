@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import math
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -44,6 +45,7 @@ class _Serial:
         *args: Any,
         n_cores: float = 1.0,  # noqa: ARG002 (a call gets whatever this process has)
         n_gpus: float = 0.0,  # noqa: ARG002
+        seconds: float = math.inf,  # noqa: ARG002
         name: str = "",
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
@@ -59,12 +61,6 @@ class _Serial:
                 return ticket, Done(function(*args))
         except Exception as error:
             return ticket, failure(ticket.name, error, traceback.format_exc())
-
-    def started(self) -> set[Ticket]:
-        return set()  # a call runs only while its outcome is being collected
-
-    def cancel(self, ticket: Ticket) -> None:
-        self._waiting = deque(call for call in self._waiting if call[0] is not ticket)
 
     def cancel_all(self) -> None:
         self._waiting.clear()

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.cluster import pin_threads
+from pipeline.cluster import prepare_process
 from pipeline.commands import study
 from pipeline.commands.compare import compare
 from pipeline.commands.compare_run import compare_run
@@ -42,24 +42,21 @@ app = typer.Typer(
 )
 
 _PANELS: dict[str, dict[str, Callable[..., None]]] = {
-    "Run": {
+    "Daily": {
         "study": study.stage_command(),
-        **{name: study.stage_command(name) for name in study.STAGE_SUMMARIES},
-        "settings": list_settings,
-        "forecast": forecast,
-    },
-    "Look": {
         "status": status,
         "studies": studies,
         "champions": list_champions,
         "compare": compare,
+        "export": export,
         "simulate": simulate,
         "score": score,
-        "export": export,
         "ui": ui,
+        "settings": list_settings,
     },
     "Build": {"fabricate": fabricate, "track": track, "compare-run": compare_run},
-    "Maintain": {"doctor": doctor, "verify": verify, "gc": gc},
+    "Care": {"doctor": doctor, "verify": verify, "gc": gc, "forecast": forecast},
+    "Stages": {name: study.stage_command(name) for name in study.STAGE_SUMMARIES},
 }
 _SUMMARIES = {"study": "Run every stage that is not done yet, and show the results.", **study.STAGE_SUMMARIES}
 
@@ -90,7 +87,7 @@ def main(arguments: list[str] | None = None, run: Callable[[list[str] | None], A
 
     A user's mistake ends in one message and exit code 2; a bug in puddle in a traceback and exit code 70.
     """
-    pin_threads()
+    prepare_process()
     try:
         try:
             return run(arguments)

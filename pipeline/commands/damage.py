@@ -26,14 +26,13 @@ def find_damage(
         say: called with a line about what was skipped.
     """
     wrong = store.verify(study, checked=checked)
-    if not store.links():
-        for name in store.studies(recorded=False) if study is None else ():
-            if store.driver_of(name):  # it has just started, and is about to write the record
-                continue
-            path = store.study_path(name) / "study.json"
-            wrong.append(DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}"))
-        for name in store.studies() if study is None else (study,):
-            wrong += _missing(store, name, say)
+    for name in store.studies(recorded=False) if study is None else ():
+        if store.driver_of(name):  # it has just started, and is about to write the record
+            continue
+        path = store.study_path(name) / "study.json"
+        wrong.append(DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}"))
+    for name in store.studies() if study is None else (study,):
+        wrong += _missing(store, name, say)
     return list({str(error): error for error in wrong}.values())  # a damaged manifest is found twice
 
 
@@ -56,9 +55,9 @@ def _check_item(store: Store, name: str, item: StudyItem, *, with_report: bool) 
         yield DamagedArtifact(f"{lost}. {store.computed_again()}", stage=item.stage, key=item.key)
     elif item.stage == "report" and with_report:
         for file, entry in manifest.files.items():
-            path = disk.inside(store.export_path(name), file)
+            path = store.export_path(name) / file
             with disk.explained("reading the report", path):
-                found = disk.digest_of(path, at_most=entry.n_bytes) if path.is_file() else "no file"
+                found = disk.digest_of(path) if path.is_file() else "no file"
             if found != entry.sha256:
                 advice = f"It is a copy of a file in the store: running study {name} restores it."
                 yield DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, found {found}. {advice}")

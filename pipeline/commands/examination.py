@@ -22,7 +22,8 @@ import numpy as np
 from packaging.requirements import Requirement
 
 from pipeline.cluster import Cluster, TaskFailed, ray_cluster, session
-from pipeline.cluster.process import free_memory
+from pipeline.cluster.on_ray import OBJECT_STORE_BYTES
+from pipeline.cluster.process import free_memory, number_of_cores
 from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -58,7 +59,7 @@ def examine(settings: Settings, store: Path, *, n_workers: int | None) -> Iterat
         store: the folder for results; it need not exist.
         n_workers: cores to use; None for all, 0 for this process alone.
     """
-    n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    n_cores = number_of_cores()
     n_workers = n_cores if n_workers is None else n_workers
     yield _python()
     yield _versions()
@@ -218,7 +219,7 @@ def _shared_memory() -> Check:
         return Check("ok", "shared memory", "this system has no /dev/shm")
     free = shutil.disk_usage(place).free
     found = f"{free / 1e9:.1f} GB free in {place}"
-    if free < session.OBJECT_STORE_BYTES:
+    if free < OBJECT_STORE_BYTES:
         return Check("warn", "shared memory", found, "Ray will use /tmp, which is slower. In Docker: --shm-size=1g.")
     return Check("ok", "shared memory", found)
 
@@ -240,10 +241,8 @@ def _loopback() -> Check:
                 pass
     except OSError as error:
         return Check("fail", "loopback", f"127.0.0.1 does not answer: {error}", "Ray can't start: use --workers 0.")
-    names = [name for name in ("RAY_ADDRESS", "MLFLOW_TRACKING_URI") if os.environ.get(name)]
-    if names:
-        elsewhere = ", ".join(f"{name}={os.environ[name]}" for name in names)
-        return Check("warn", "ports", f"{elsewhere} is set", "A study will use that instead of this machine.")
+    if where := os.environ.get("MLFLOW_TRACKING_URI"):
+        return Check("warn", "ports", f"MLFLOW_TRACKING_URI={where} is set", "Runs will be mirrored there.")
     with socket.socket() as probe, contextlib.suppress(OSError):
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind(("127.0.0.1", 5000))
@@ -292,7 +291,7 @@ def _engine(settings: Settings) -> Check:
 def _ray(on_ray: Callable[..., AbstractContextManager[Cluster]] = ray_cluster) -> Check:
     start = time.perf_counter()
     try:
-        with on_ray("local", n_workers=1) as cluster:
+        with on_ray(n_workers=1) as cluster:
             cluster.submit(os.getpid)
             done = cluster.next_done(timeout=_RAY_SECONDS)
             seconds = time.perf_counter() - start

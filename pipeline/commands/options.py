@@ -196,25 +196,21 @@ class ExecutionOptions:
 
     workers: Workers = None
     address: Annotated[
-        str | None, typer.Option("--address", envvar="RAY_ADDRESS", help="Run on this existing Ray cluster instead.")
+        str | None, typer.Option("--address", help="Run on this existing Ray cluster instead: host:port or auto.")
     ] = None
     tracking_uri: TrackingUri = None
 
-    def check(self, context: typer.Context) -> None:
-        """Refuse --workers together with --address; an address in the environment is only a default."""
-        source = context.get_parameter_source("address")
-        explicit = source is not None and source.name == "COMMANDLINE"
-        if self.workers is not None and self.address not in (None, "local") and explicit:
+    def __post_init__(self) -> None:
+        """Refuse --workers together with --address."""
+        if self.workers is not None and self.address is not None:
             got = f"--workers {self.workers} with --address {self.address}"
             raise PuddleError(f"--workers chooses cores of this machine: expected --workers or --address, got {got}")
 
     def cluster(
         self, on_ray: Callable[..., AbstractContextManager[Cluster]] = ray_cluster
     ) -> Callable[[], AbstractContextManager[Cluster]]:
-        """Return the function that starts or joins the cluster. --workers overrides an address in the environment."""
-        if self.workers == 0:
-            return serial_cluster
-        return lambda: on_ray(address=self.address if self.workers is None else "local", n_workers=self.workers)
+        """Return the function that starts or joins the cluster."""
+        return serial_cluster if self.workers == 0 else lambda: on_ray(address=self.address, n_workers=self.workers)
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -41,7 +41,6 @@ def stage_command(*stages: str) -> Callable[..., None]:
 
     @with_options
     def command(
-        context: typer.Context,
         options: StudyOptions,
         execution: ExecutionOptions,
         recompute: Annotated[
@@ -54,7 +53,6 @@ def stage_command(*stages: str) -> Callable[..., None]:
             ),
         ] = None,
     ) -> None:
-        execution.check(context)
         run_stages(
             options,
             stages,

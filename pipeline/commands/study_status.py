@@ -18,7 +18,7 @@ from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.stages import STAGES
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
-from pipeline.workflow.graph import survey
+from pipeline.workflow.graph import other_code, survey
 from pipeline.workflow.identity import ChainId, item_label
 from pipeline.workflow.record import differences, settings_of
 from pipeline.workflow.stage import AnyStage, Chain, Results
@@ -143,7 +143,7 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
                 n_other_code=found.n_other_code,
             )
         )
-        notes += filter(None, [found.other_code])
+    notes += filter(None, [other_code(upstream)])
     if n_unreached:
         notes.append(
             f"{n_unreached:,} item{'s are' if n_unreached > 1 else ' is'} on record, made from something that is "

@@ -10,35 +10,24 @@ import errno
 import fcntl
 import hashlib
 import os
-import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.locks import wait_for_lock
-from pipeline.store.encoding import digest
 
 MAX_DOCUMENT_BYTES = 2**26  # largest JSON document [bytes]: the record of a study of half a million work items
-
-_HASH_BUFFER_BYTES = 2**20
-_OWN = os.O_NOFOLLOW | os.O_CLOEXEC
-
-
-class NotAFileError(OSError):
-    """A path that should name a file names something else."""
 
 
 def write(path: Path, data: bytes) -> None:
     """Write a whole file, replacing what is there."""
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | _OWN, 0o644), "wb") as file:
-        file.write(data)
+    path.write_bytes(data)
 
 
 def fsync(path: Path) -> None:
     """Flush a file, or a folder's list of names, to the disk."""
-    descriptor = os.open(path, os.O_RDONLY | _OWN)
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -77,7 +66,7 @@ def place(path: Path, data: bytes) -> None:
     """Write a file atomically: after a crash at any point it is complete under its name, or absent.
 
     The caller must hold a lock on the folder. An interrupted call leaves at most one temporary file, which the next
-    call overwrites. The bytes are read back before the file gets its name.
+    call overwrites.
     """
     with contextlib.suppress(OSError):
         if read(path, at_most=len(data)) == data:  # there may be no room for a second copy
@@ -85,11 +74,6 @@ def place(path: Path, data: bytes) -> None:
             return
     write(temporary(path), data)
     fsync(temporary(path))
-    if digest(read(temporary(path), at_most=len(data))) != digest(data):
-        raise PuddleError(
-            f"{path}: expected the bytes just written, got others. The file was not put in place; committed results "
-            f"are safe. Check the disk, run `puddle verify`, then run the same command again to resume."
-        )
     rename(temporary(path), path)
     fsync(path.parent)
 
@@ -123,25 +107,15 @@ def make_folders(root: Path, folder: Path) -> None:
 
 
 def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
-    """Read a regular file, and of one longer than ``at_most`` one byte more; raise NotAFileError for other paths."""
-    with _opened(path) as file:
+    """Read a file, and of one longer than ``at_most`` one byte more."""
+    with path.open("rb") as file:
         return file.read(min(at_most, os.fstat(file.fileno()).st_size) + 1)  # read() allocates its argument at once
 
 
-def digest_of(path: Path, *, at_most: int) -> str:
-    """Return the SHA-256 of what :func:`read` would return, using little memory; raises as :func:`read`."""
-    found, n_left = hashlib.sha256(), at_most + 1
-    with _opened(path) as file:
-        while chunk := file.read(min(_HASH_BUFFER_BYTES, n_left)):
-            found.update(chunk)
-            n_left -= len(chunk)
-    return found.hexdigest()
-
-
-def _opened(path: Path) -> BinaryIO:
-    if not stat.S_ISREG(path.lstat().st_mode):
-        raise NotAFileError(errno.EINVAL, "not a regular file", str(path))
-    return os.fdopen(os.open(path, os.O_RDONLY | _OWN), "rb")
+def digest_of(path: Path) -> str:
+    """Return a file's SHA-256 without reading it whole into memory."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_document(path: Path) -> bytes:
@@ -152,34 +126,14 @@ def read_document(path: Path) -> bytes:
     return data
 
 
-def below(folder: Path) -> Iterator[Path]:
-    """Yield everything below a folder, except what is removed meanwhile; links are not followed."""
-    for parent, folders, files in os.walk(folder):  # rglob fails if a folder disappears
-        yield from (Path(parent, name) for name in (*folders, *files))
-
-
 def size_bytes(folder: Path) -> int:
     """Return the total length of all files below a folder [bytes]."""
     total = 0
-    for path in below(folder):
-        with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
-            found = path.lstat()
-            total += found.st_size if stat.S_ISREG(found.st_mode) else 0
+    for parent, _, files in os.walk(folder):  # rglob fails if a folder disappears
+        for name in files:
+            with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
+                total += Path(parent, name).lstat().st_size
     return total
-
-
-def inside(root: Path, *parts: str) -> Path:
-    """Return a path below a root; the parts are single names that the caller has checked. Refuse symbolic links."""
-    path = root
-    for part in parts:
-        path = path / part
-        if path.is_symlink():
-            raise PuddleError(
-                f"{path}: expected a file or a folder, got a symbolic link. It was not followed; committed results are "
-                f"safe. Replace the link by its target, or move the whole store, check it with `puddle verify`, and "
-                f"run the same command again to resume."
-            )
-    return path
 
 
 @contextlib.contextmanager
@@ -193,7 +147,7 @@ def locked(path: Path, *, seconds: float = 120.0) -> Iterator[None]:
     Raises:
         PuddleError: another process still holds it; the message names that process.
     """
-    with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _OWN, 0o644), "rb") as file:
+    with path.open("a+b") as file:
         wait_for_lock(file.fileno(), path, seconds=seconds)
         yield
 
@@ -207,7 +161,7 @@ def try_lock(path: Path, *, kind: int = fcntl.LOCK_EX, only_ask: bool = False) -
         only_ask: do not create the file. A query holds the lock for an instant, so other callers try for half a second.
     """
     flags = os.O_RDONLY if only_ask else os.O_RDWR | os.O_CREAT
-    descriptor = os.open(path, flags | _OWN, 0o644)
+    descriptor = os.open(path, flags, 0o644)
     deadline = time.monotonic() + (0.0 if only_ask else 0.5)
     while True:
         try:

@@ -1,9 +1,9 @@
 """Encoding of tables (Parquet), arrays (safetensors) and documents (JSON) as bytes, and decoding. No disk access.
 
 Equal values give equal bytes (with the same pyarrow), so that a digest can stand for the content. Each file names its
-format (a schema and a version) and carries the SHA-256 of its values, because Parquet's page checksums do not cover its
-footer, safetensors has no checksums, and both otherwise accept a flipped bit silently. The metadata of a table or of
-arrays is one JSON text under the key ``puddle``: safetensors writes several keys in random order.
+format, a schema and a version, in one JSON text under the key ``puddle`` of its metadata: safetensors writes several
+keys in random order. The metadata also holds a SHA-256 of the values, which is part of the format; reading relies on
+the manifest's.
 """
 
 import hashlib
@@ -15,7 +15,6 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import safetensors.numpy
 from safetensors import SafetensorError
@@ -66,23 +65,16 @@ def encode_json(value: Json) -> bytes:
 
 
 def decode_json(data: bytes, source: str) -> Any:
-    """Return the value of a JSON document; refuse a repeated key, and a number that is not finite."""
+    """Return the value of a JSON document; refuse a number that is not finite."""
+
+    def refuse(constant: str) -> None:
+        raise ValueError(f"expected finite numbers, got {constant}")
+
     try:
-        value = json.loads(data.decode(), object_pairs_hook=_unique_keys)
-        _refuse_impure(value, "")
-        json.dumps(value, ensure_ascii=False).encode()  # fails for an unpaired surrogate
+        return json.loads(data.decode(), parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         problem = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise PuddleError(f"{source}: expected a JSON document (UTF-8): {problem}") from None
-    return value
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    value = dict(pairs)
-    if len(value) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"the key {next(name for name in names if names.count(name) > 1)!r} appears twice")
-    return value
 
 
 def _refuse_impure(value: Any, where: str) -> None:
@@ -135,53 +127,26 @@ def check_format(found: Any, *, schema: str, version: int, source: str) -> None:
         raise OtherVersion(f"{source}: {expected}, got version {found['version']}. {advice}")
 
 
-def encode_sealed(value: Mapping[str, Json], *, schema: str, version: int) -> bytes:
-    """Return a JSON document that names its format and carries the SHA-256 of its own content.
-
-    Args:
-        value: the content.
-        schema, version: the format.
-    """
-    named = {**value, "schema": schema, "version": version}
-    return encode_json({**named, "sha256": digest(canonical_json(named))})
+def encode_document(value: Mapping[str, Json], *, schema: str, version: int) -> bytes:
+    """Return a JSON document that names its format."""
+    return encode_json({**value, "schema": schema, "version": version})
 
 
-def decode_sealed(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Any]:
-    """Return the content of a sealed document, without its format and seal.
-
-    Args:
-        data: the document.
-        schema, version: the expected format.
-        source: the document's name in messages.
+def decode_document(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Any]:
+    """Return a JSON document of puddle's own.
 
     Raises:
-        PuddleError: the document has another format.
-        DamagedArtifact: it differs in any byte from what was written.
+        OtherVersion: another version of puddle wrote it.
+        DamagedArtifact: it is no such document.
     """
     try:
         value = decode_json(data, source)
-    except PuddleError as error:
-        raise DamagedArtifact(str(error)) from None
-    try:
         check_format(value, schema=schema, version=version, source=source)
     except OtherVersion:
-        if _seal_holds(value, data):
-            raise
-        got = f"version {value['version']} and a SHA-256 that does not match"
-        raise DamagedArtifact(f"{source}: expected {schema!r} version {version}, got {got}") from None
-    if not _seal_holds(value, data):
-        found = digest(canonical_json({name: inner for name, inner in value.items() if name != "sha256"}))
-        raise DamagedArtifact(f"{source}: expected SHA-256 {value.get('sha256')}, got {found}")
-    return _body(value)
-
-
-def _body(document: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: inner for name, inner in document.items() if name not in ("schema", "version", "sha256")}
-
-
-def _seal_holds(document: Mapping[str, Any], data: bytes) -> bool:
-    """Check that a document equals its sealed form byte for byte, whatever version of puddle sealed it."""
-    return encode_sealed(_body(document), schema=document["schema"], version=document["version"]) == data
+        raise
+    except PuddleError as error:
+        raise DamagedArtifact(str(error)) from None
+    return dict(value)
 
 
 # -- tables: Parquet -------------------------------------------------------------------------------------------------
@@ -232,57 +197,25 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
         PuddleError: the data are damaged or have another format.
     """
     try:
-        metadata = pq.read_metadata(pa.BufferReader(data))
-        label = _read_label((metadata.metadata or {}).get(_METADATA_KEY.encode()), source)
-        check_format(label, schema=schema, version=version, source=source)
-        kinds = {field.name: field.type for field in metadata.schema.to_arrow_schema()}
-        _refuse_beyond_memory(_bytes_in_memory(metadata, kinds))
-        texts = [name for name, kind in kinds.items() if pa.types.is_string(kind)]
-        options = {"metadata": metadata, "page_checksum_verification": True, "pre_buffer": False}
-        file = pq.ParquetFile(pa.BufferReader(data), read_dictionary=texts, **options)  # each distinct text once
+        file = pq.ParquetFile(pa.BufferReader(data), pre_buffer=False)
+        check_format(_label_of(file, source), schema=schema, version=version, source=source)
+        groups = [file.metadata.row_group(index) for index in range(file.metadata.num_row_groups)]
+        if (n_bytes := sum(group.total_byte_size for group in groups)) > MAX_TABLE_BYTES:
+            raise ValueError(f"expected at most {MAX_TABLE_BYTES} bytes in memory, got {n_bytes}")
         table = file.read(use_threads=False)
-        _refuse_beyond_memory(sum(_text_bytes(table.column(name)) for name in texts))
-        columns = {name: _pure_array(_numpy_column(table.column(name)), name) for name in table.column_names}
+        return {name: _pure_array(_numpy_column(table.column(name)), name) for name in table.column_names}
     except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, MemoryError) as error:
         expected = f"expected a Parquet file of {schema!r} version {version}"
         raise PuddleError(f"{source}: {expected}: {error}. {_RESTORE}") from None
-    _check_label(columns, label, source)
-    return columns
 
 
 def units_of(data: bytes, source: str) -> dict[str, str]:
     """Return the units that a table states, by column; ``source`` is its name in messages."""
-    metadata = pq.read_metadata(pa.BufferReader(data)).metadata or {}
-    return dict(_read_label(metadata.get(_METADATA_KEY.encode()), source).get("units", {}))
+    return dict(_label_of(pq.ParquetFile(pa.BufferReader(data)), source).get("units", {}))
 
 
-def _bytes_in_memory(metadata: pq.FileMetaData, kinds: Mapping[str, pa.DataType]) -> int:
-    width = sum(_width(name, kind) for name, kind in kinds.items())
-    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
-    return int(max(metadata.num_rows * width, sum(group.total_byte_size for group in groups)))
-
-
-def _refuse_beyond_memory(n_bytes: int) -> None:
-    """Refuse a table that would fill the memory: a few compressed kilobytes can expand to many gigabytes."""
-    if n_bytes > MAX_TABLE_BYTES:
-        raise ValueError(f"expected at most {MAX_TABLE_BYTES} bytes in memory, got {n_bytes}")
-
-
-def _width(name: str, kind: pa.DataType) -> int:
-    """Return the memory of one value [bytes]; for text, that of its dictionary index."""
-    if pa.types.is_string(kind):
-        return 4
-    if pa.types.is_fixed_size_list(kind) and pa.types.is_primitive(kind.value_type):
-        return int(kind.list_size) * _width(name, kind.value_type)
-    if not pa.types.is_primitive(kind):
-        raise ValueError(f"column {name!r} has type {kind}, which puddle does not write")
-    return max(1, int(kind.bit_width) // 8)
-
-
-def _text_bytes(column: pa.ChunkedArray) -> int:
-    """Return the memory of a text column [bytes]; NumPy gives every text the size of the longest."""
-    lengths = [pc.max(pc.utf8_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks]
-    return 4 * max(lengths, default=0) * len(column)
+def _label_of(file: pq.ParquetFile, source: str) -> Any:
+    return _read_label((file.metadata.metadata or {}).get(_METADATA_KEY.encode()), source)
 
 
 def _arrow_column(array: Array) -> pa.Array:
@@ -294,8 +227,8 @@ def _arrow_column(array: Array) -> pa.Array:
 
 
 def _numpy_column(column: pa.ChunkedArray) -> Array:
-    if pa.types.is_dictionary(column.type):
-        return np.array(column.cast(pa.string()).to_pylist(), dtype=np.str_)
+    if pa.types.is_string(column.type):
+        return np.array(column.to_pylist(), dtype=np.str_)
     if not pa.types.is_fixed_size_list(column.type):
         return np.array(column.to_numpy(), order="C")
     k = column.type.list_size
@@ -348,9 +281,7 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> tup
         raise PuddleError(f"{source}: {expected}: {error}. {_RESTORE}") from None
     label = _read_label(None if said is None else said.encode(), source)
     check_format(label, schema=schema, version=version, source=source)
-    arrays = {name: np.array(loaded[name]) for name in sorted(loaded)}  # copies: the loaded ones are read-only
-    _check_label(arrays, label, source)
-    return arrays, label["metadata"]
+    return {name: np.array(loaded[name]) for name in sorted(loaded)}, label["metadata"]  # the loaded ones are read-only
 
 
 # -- the label of tables and arrays ----------------------------------------------------------------------------------
@@ -382,10 +313,3 @@ def _content_digest(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
 def _read_label(said: bytes | None, source: str) -> dict[str, Any]:
     label = None if said is None else decode_json(said, f"{source}, metadata {_METADATA_KEY!r}")
     return label if isinstance(label, dict) else {}
-
-
-def _check_label(arrays: Mapping[str, Array], label: dict[str, Any], source: str) -> None:
-    expected = label.pop("sha256", None)
-    found = _content_digest(arrays, label)
-    if found != expected:
-        raise PuddleError(f"{source}: expected values of SHA-256 {expected}, got {found}. {_RESTORE}")

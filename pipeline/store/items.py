@@ -103,10 +103,10 @@ class Items:
     def _bad_files(self, manifest: Manifest) -> Iterator[str]:
         """Describe each file that differs from what was committed."""
         for name, entry in manifest.files.items():
-            path = disk.inside(self._item(manifest.stage, manifest.key), name)
+            path = self._item(manifest.stage, manifest.key) / name
             if problem := _other_length(path, entry):
                 yield problem
-            elif (found := disk.digest_of(path, at_most=entry.n_bytes)) != entry.sha256:
+            elif (found := disk.digest_of(path)) != entry.sha256:
                 yield f"{path}: expected SHA-256 {entry.sha256}, got {found}"
 
     def manifest(self, stage: str, key: str) -> Manifest | None:
@@ -117,7 +117,7 @@ class Items:
         manifest = self.listing(stage, key)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
             for name, entry in manifest.files.items() if manifest is not None else ():
-                if problem := _other_length(disk.inside(self._item(stage, key), name), entry):
+                if problem := _other_length(self._item(stage, key) / name, entry):
                     raise DamagedArtifact(problem)
         return manifest
 
@@ -129,18 +129,18 @@ class Items:
                 data = disk.read_document(path)
             except FileNotFoundError:
                 return None
-            except disk.NotAFileError as error:
-                raise DamagedArtifact(f"{path}: expected a manifest, got {error.strerror}") from error
+            except IsADirectoryError:
+                raise DamagedArtifact(f"{path}: expected a manifest, got a folder") from None
             return manifests.decode_manifest(data, stage=stage, key=key, source=str(path))
 
     def read(self, manifest: Manifest, name: str) -> bytes:
         """Return the content of a file; raise DamagedArtifact if it differs from what was committed."""
-        path = disk.inside(self._item(manifest.stage, manifest.key), name)
+        path = self._item(manifest.stage, manifest.key) / name
         entry = manifest.files[name]
         with disk.explained(f"reading {name}", self.root), self._damage(manifest.stage, manifest.key):
             try:
                 data = disk.read(path, at_most=entry.n_bytes)
-            except (FileNotFoundError, disk.NotAFileError) as error:
+            except (FileNotFoundError, IsADirectoryError) as error:
                 raise DamagedArtifact(f"{path}: expected {entry.n_bytes} bytes, got {error.strerror}") from error
             if digest(data) != entry.sha256:
                 raise DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, got {digest(data)}")
@@ -206,16 +206,16 @@ class Items:
 
     def manifest_path(self, stage: str, key: str) -> Path:
         """Return the path of an item's manifest, whether or not the item is committed."""
-        return disk.inside(self._item(stage, key), MANIFEST)
+        return self._item(stage, key) / MANIFEST
 
     def _item(self, stage: str, key: str) -> Path:
         if not KEY.fullmatch(key):
             raise PuddleError(f"{stage}: expected a key of 64 hexadecimal digits, got {key!r}")
-        return disk.inside(self.root, "items", check_name(stage, "stage"), key[:2], key)
+        return self.root / "items" / check_name(stage, "stage") / key[:2] / key
 
     def _names(self, *parts: str) -> list[str]:
         """Return the valid folder names in a folder, sorted."""
-        folder = disk.inside(self.root, *parts)
+        folder = self.root.joinpath(*parts)
         with disk.explained("listing", folder):
             try:
                 return sorted(path.name for path in folder.iterdir() if NAME.fullmatch(path.name) and _is_folder(path))

@@ -1,13 +1,12 @@
 """Manifests, which describe the items of a store."""
 
 import re
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.errors import DamagedArtifact, Irreproducible, OtherVersion, PuddleError
-from pipeline.store.encoding import Json, canonical_json, decode_sealed, digest, encode_sealed, key_of
+from pipeline.errors import DamagedArtifact, Irreproducible
+from pipeline.store.encoding import Json, canonical_json, decode_document, digest, encode_document, key_of
 
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
@@ -15,7 +14,6 @@ MANIFEST = "manifest.json"
 MAX_FILE_BYTES = 2**30  # largest file of an item [bytes]; files are read into memory whole
 
 _FILE_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}(\.[a-z0-9]{1,16})?")
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -49,10 +47,10 @@ def are_file_names(names: Iterable[str]) -> bool:
 
 
 def encode_manifest(manifest: Manifest) -> bytes:
-    """Encode a manifest as a sealed document."""
+    """Encode a manifest."""
     files: Json = {name: {"sha256": entry.sha256, "bytes": entry.n_bytes} for name, entry in manifest.files.items()}
     body: dict[str, Json] = {**vars(manifest), "files": files, "digest": manifest.digest}
-    return encode_sealed(body, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION)
+    return encode_document(body, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION)
 
 
 def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manifest:
@@ -67,39 +65,22 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
         DamagedArtifact: the document was changed, or describes another item.
         OtherVersion: another version of puddle wrote it.
     """
+    body = decode_document(data, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION, source=source)
     try:
-        body = decode_sealed(data, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION, source=source)
-    except (DamagedArtifact, OtherVersion):
-        raise
-    except PuddleError as error:  # some other document in its place
-        raise DamagedArtifact(str(error)) from None
-    try:  # the seal detects damage but not forgery, so the content may be anything
-        files = {name: _entry(name, entry) for name, entry in body["files"].items()}
-        for name in ("identity", "environment", "record"):
-            body[name].items()
-        _check_seconds(body["record"].get("seconds", 0.0))
-        manifest = Manifest(body["stage"], body["key"], body["identity"], files, body["environment"], body["record"])
+        files = {name: FileEntry(str(entry["sha256"]), int(entry["bytes"])) for name, entry in body["files"].items()}
+        manifest = Manifest(
+            body["stage"], body["key"], body["identity"], files, dict(body["environment"]), dict(body["record"])
+        )
+        found = key_of(manifest.identity)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise DamagedArtifact(f"{source}: expected a manifest's fields: {error!r}") from None
-    if (manifest.stage, manifest.key) != (stage, key) or key_of(manifest.identity) != key:
+    if (manifest.stage, manifest.key, found) != (stage, key, key):
         raise DamagedArtifact(f"{source}: expected {stage} {key}, got {manifest.stage} {manifest.key}")
     if not files or not are_file_names(files):
         raise DamagedArtifact(f"{source}: expected file names like weights.safetensors, got {sorted(files)}")
+    if body.get("digest") != manifest.digest:
+        raise DamagedArtifact(f"{source}: expected digest {body.get('digest')}, got {manifest.digest}")
     return manifest
-
-
-def _entry(name: str, said: Mapping[str, Any]) -> FileEntry:
-    sha256, n_bytes = said["sha256"], said["bytes"]
-    if not (isinstance(sha256, str) and _SHA256.fullmatch(sha256)):
-        raise ValueError(f"expected a SHA-256 of {name:.80} in 64 hexadecimal digits, got {sha256!s:.80}")
-    if type(n_bytes) is not int or not 0 <= n_bytes <= MAX_FILE_BYTES:
-        raise ValueError(f"expected 0 to {MAX_FILE_BYTES} bytes of {name:.80}, got {n_bytes!s:.80}")
-    return FileEntry(sha256, n_bytes)
-
-
-def _check_seconds(said: Any) -> None:
-    if type(said) not in (int, float) or not 0 <= said <= sys.float_info.max:
-        raise ValueError(f"expected at least 0 seconds, got {said!s:.80}")
 
 
 def refuse_other_content(committed: Manifest, new: Manifest) -> None:

@@ -40,7 +40,7 @@ class NewFolder:
     def digests(self) -> dict[str, str]:
         """Return the SHA-256 of every file by name."""
         return {
-            path.relative_to(self.path).as_posix(): _digest(path)
+            path.relative_to(self.path).as_posix(): disk.digest_of(path)
             for path in sorted(self.path.rglob("*"))
             if path.is_file()
         }
@@ -134,7 +134,7 @@ class FolderKind:
             name = path.relative_to(folder).as_posix()
             if name == self.manifest or path.is_symlink() or not path.is_file():
                 continue
-            if (found := _digest(path)) == digests.get(name) or found == made.get(name):
+            if (found := disk.digest_of(path)) == digests.get(name) or found == made.get(name):
                 continue
             new_name, number = name, 0
             while (new.path / new_name).exists():
@@ -143,7 +143,3 @@ class FolderKind:
             new.write(new_name, path.read_bytes())
             changed = "" if new_name == name else f", which you had changed, as {new_name}"
             new.preserved.append(f"Preserved {name}{changed}.")
-
-
-def _digest(path: Path) -> str:
-    return disk.digest_of(path, at_most=path.stat().st_size)

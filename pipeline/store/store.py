@@ -31,9 +31,9 @@ from typing import Any, NamedTuple
 from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.locks import holders_of
 from pipeline.store import disk
-from pipeline.store.encoding import Json, decode_json, decode_sealed, encode_json, encode_sealed
+from pipeline.store.encoding import Json, decode_document, decode_json, encode_document, encode_json
 from pipeline.store.items import KEY, NAME, Items, check_name
-from pipeline.store.manifest import MAX_FILE_BYTES, are_file_names
+from pipeline.store.manifest import are_file_names
 
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
@@ -82,11 +82,9 @@ class Store(Items):
                     advice = "Name the folder of an existing store, or run a study to create one."
                     raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
                 cls._create(root)
-            for name in ("mlflow.db", "mlflow.lock", "mlartifacts"):  # MLflow would follow a link
-                disk.inside(root, name)
-            path = disk.inside(root, "store.json")
+            path = root / "store.json"
             try:
-                decode_sealed(disk.read_document(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
+                decode_document(disk.read_document(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
             except DamagedArtifact as damage:
                 raise DamagedArtifact(f"{damage}. Copy store.json from any other store: all are alike.") from None
         return cls(root)
@@ -108,7 +106,7 @@ class Store(Items):
             )
         with disk.locked(root / "commit.lock"):
             if not (root / "store.json").exists():
-                disk.place(root / "store.json", encode_sealed({}, schema=STORE_SCHEMA, version=STORE_VERSION))
+                disk.place(root / "store.json", encode_document({}, schema=STORE_SCHEMA, version=STORE_VERSION))
 
     def verify(
         self, study: str | None = None, *, checked: Callable[[int], None] = lambda n_bytes: None
@@ -120,9 +118,8 @@ class Store(Items):
             checked: called with the length of each item or record after it has been verified [bytes].
 
         Returns:
-            One error for each problem. Damage to an item is a DamagedArtifact with its stage and key. A symbolic link,
-            or a file of a newer puddle, is a plain PuddleError, because discarding would not mend it; if there are
-            links, nothing else is verified.
+            One error for each problem. Damage to an item is a DamagedArtifact with its stage and key. A file of a newer
+            puddle is an OtherVersion, because discarding would not mend it.
         """
         wrong = []
         for path, check in self._checks(study):
@@ -139,8 +136,6 @@ class Store(Items):
 
     def _checks(self, study: str | None) -> list[tuple[Path, Callable[[], object]]]:
         """List the paths to verify, each with its check."""
-        if links := self.links():
-            return [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
         items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
         if study is not None:
             record = self.read_study(study)
@@ -155,10 +150,6 @@ class Store(Items):
             ),
         ]
 
-    def links(self) -> list[Path]:
-        """Return the symbolic links in the store, relative to it. There should be none."""
-        return sorted(path.relative_to(self.root) for path in disk.below(self.root) if path.is_symlink())
-
     def size_bytes(self) -> int:
         """Return the total length of all files [bytes]."""
         return disk.size_bytes(self.root)
@@ -170,7 +161,7 @@ class Store(Items):
         name, folder = record.name, self.study_path(record.name)
         rows = {"items": list(map(list, record.items)), "failed": list(map(list, record.failed))}
         body: dict[str, Json] = {"name": name, "settings": record.settings, "source": record.source, **rows}
-        data = encode_sealed(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
+        data = encode_document(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
         if len(data) > disk.MAX_DOCUMENT_BYTES:
             raise PuddleError(
                 f"study {name}: expected a record of at most {disk.MAX_DOCUMENT_BYTES:,} bytes, got {len(data):,} for "
@@ -179,45 +170,35 @@ class Store(Items):
             )
         with disk.explained(f"writing the record of study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
-            path = disk.inside(folder, "study.json")
-            if path.is_dir():
-                disk.rmdir(path)  # fails if it is not empty, for then it is the user's
-            disk.place(path, data)
+            disk.place(folder / "study.json", data)
 
     def read_study(self, name: str) -> StudyRecord | None:
         """Return the record of a study, or None if there is no study of that name.
 
         A damaged record raises DamagedArtifact, and one of another version of puddle OtherVersion.
         """
-        path = disk.inside(self.study_path(name), "study.json")
+        path = self.study_path(name) / "study.json"
         with disk.explained(f"reading study {name}", self.root):
             try:
                 data = disk.read_document(path)
             except FileNotFoundError:
                 return None
-            except disk.NotAFileError as error:
-                problem = f"{path}: expected a study's record, got {error.strerror}"
-                raise DamagedArtifact(f"{problem}. {WRITTEN_ANEW}") from error
+            except IsADirectoryError:
+                raise DamagedArtifact(f"{path}: expected a study's record, got a folder. {WRITTEN_ANEW}") from None
         try:
-            body = decode_sealed(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
+            body = decode_document(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
             items = tuple(StudyItem(*item) for item in body["items"])
             failed = tuple(FailedChain(*chain) for chain in body.get("failed", ()))  # early stores have none
-            if not isinstance(body["settings"], dict) or not all(_is_item(item) for item in items):
-                raise DamagedArtifact("the seal is valid, but the fields are not")  # anyone can seal a document
-            if not all(isinstance(word, str) for chain in failed for word in chain):
-                raise DamagedArtifact("the seal is valid, but a failed chain has no label")
-            source = body.get("source", "")  # early stores have none
-            if not isinstance(source, str):
-                raise DamagedArtifact("the seal is valid, but the source of the settings is not text")
-            if body["name"] != name:
-                raise DamagedArtifact(f"got those of study {body['name']}")
-            return StudyRecord(name, body["settings"], items, failed, source)
+            if body["name"] != name or not isinstance(body["settings"], dict) or not all(map(_is_item, items)):
+                raise DamagedArtifact(f"got those of study {body['name']}, or other values")
+            return StudyRecord(name, body["settings"], items, failed, str(body.get("source", "")))
         except OtherVersion:
             raise
         except (PuddleError, KeyError, TypeError) as error:  # damaged, or some other document in its place
             problem = str(error).removeprefix(f"{path}: ").removesuffix(".")
-            said = f"{path}: expected a study's name, settings and items: {problem}"
-            raise DamagedArtifact(f"{said}{'' if said.endswith('?') else '.'} {WRITTEN_ANEW}") from None
+            raise DamagedArtifact(
+                f"{path}: expected a study's name, settings and items: {problem}. {WRITTEN_ANEW}"
+            ) from None
 
     def studies(self, *, recorded: bool = True) -> list[str]:
         """Return the names of the studies that have a record, or of those that have lost it."""
@@ -234,7 +215,7 @@ class Store(Items):
         with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
             self._share(held)
             disk.make_folders(self.root, folder)
-            descriptor = disk.try_lock(disk.inside(folder, "driver.lock"))
+            descriptor = disk.try_lock(folder / "driver.lock")
             if descriptor is None:
                 raise PuddleError(
                     f"study {name} is driven by {self.driver_of(name) or 'a process that has just ended'}. "
@@ -288,7 +269,7 @@ class Store(Items):
 
     def driver_of(self, name: str) -> str | None:
         """Describe the process that drives a study; None if none does."""
-        path = disk.inside(self.study_path(name), "driver.lock")
+        path = self.study_path(name) / "driver.lock"
         with disk.explained(f"asking who drives study {name}", self.root):
             try:
                 descriptor = disk.try_lock(path, kind=fcntl.LOCK_SH, only_ask=True)
@@ -315,12 +296,12 @@ class Store(Items):
         with disk.explained(f"exporting study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
             for file, data in sorted(files.items()):
-                disk.place(disk.inside(folder, file), data)
+                disk.place(folder / file, data)
             others = sorted(path for path in folder.iterdir() if path.name not in files and _is_file(path))
             reported = self._reported() if others else set()
             names = {file for file, _ in reported}
             for path in (path for path in others if path.name in names):
-                if (path.name, disk.digest_of(path, at_most=MAX_FILE_BYTES)) in reported:
+                if (path.name, disk.digest_of(path)) in reported:
                     disk.unlink(path)
                     disk.fsync(folder)
         return folder
@@ -345,11 +326,11 @@ class Store(Items):
 
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` creates."""
-        return disk.inside(self.study_path(name), "report")
+        return self.study_path(name) / "report"
 
     def study_path(self, name: str) -> Path:
         """Return a study's folder, whether or not it exists."""
-        return disk.inside(self.root, "studies", check_name(name, "study"))
+        return self.root / "studies" / check_name(name, "study")
 
 
 def _is_file(path: Path) -> bool:

@@ -22,8 +22,7 @@ from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, Job
 
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
 _QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
-_SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for hanging items and for the number of cores
-_SECONDS_WHEN_STOPPED = 60.0  # time between two such looks after which this process was stopped, as by Ctrl-Z [s]
+_SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for the number of cores
 _CHECKS_WITHOUT_CORES = 3  # consecutive checks after which this process reports that the cluster has no cores
 
 
@@ -38,26 +37,18 @@ class Limits:
     paper's network on one core, takes seconds per unit and days in all; this allows a month."""
     unknown_least_seconds: float = 86_400.0  # what any item may take in that case: some units are whole analyses
 
-    def seconds(self, cost: float, slowest: float) -> tuple[float, str]:
-        """Return the limit [s] of a batch that costs ``cost`` weighted units, and the reason for it.
+    def seconds(self, cost: float, slowest: float) -> float:
+        """Return the limit of a batch that costs ``cost`` weighted units [s].
 
         ``slowest`` is in seconds per weighted unit; 0 while no item has ended.
         """
         if not slowest:
-            reason = ", the limit while no item of its stage has ended"
-            return max(self.unknown_least_seconds, self.unknown_seconds_per_unit * cost), reason
-        reason = f", where the slowest item of its stage took {slowest * cost:.0f} s for as much work"
-        return max(self.least_seconds, self.factor * slowest * cost), reason
+            return max(self.unknown_least_seconds, self.unknown_seconds_per_unit * cost)
+        return max(self.least_seconds, self.factor * slowest * cost)
 
 
 def run_stage(
-    run: StageRun,
-    chains: Sequence[ChainProgress],
-    *,
-    cluster: Cluster,
-    bar: Bar,
-    limits: Limits = Limits(),
-    clock: Callable[[], float] = time.monotonic,
+    run: StageRun, chains: Sequence[ChainProgress], *, cluster: Cluster, bar: Bar, limits: Limits = Limits()
 ) -> None:
     """Compute what is missing of a stage, and advance its chains.
 
@@ -67,12 +58,11 @@ def run_stage(
         cluster: computes items.
         bar: the stage's progress, which advances by weighted units.
         limits: how long an item may take.
-        clock: returns the time [s].
 
     Raises:
         PuddleError: an item needs a GPU, and the cluster has none.
     """
-    _Dispatcher(run, cluster, bar, limits, clock).run(chains)
+    _Dispatcher(run, cluster, bar, limits).run(chains)
 
 
 _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several chains, computed in one call
@@ -81,15 +71,13 @@ _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several c
 class _Dispatcher:
     """Keeps a cluster busy with a stage's chains, heaviest remaining chain first."""
 
-    def __init__(self, run: StageRun, cluster: Cluster, bar: Bar, limits: Limits, clock: Callable[[], float]) -> None:
+    def __init__(self, run: StageRun, cluster: Cluster, bar: Bar, limits: Limits) -> None:
         self._run, self._stage = run, run.stage
-        self._cluster, self._bar, self._limits, self._clock = cluster, bar, limits, clock
+        self._cluster, self._bar, self._limits = cluster, bar, limits
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
         self._running: dict[Ticket, _Batch] = {}
-        self._started: dict[Ticket, float] = {}  # when each was first seen to run: a batch that waits does not hang
         self._code = recorded_code(run.stage)  # before any worker loads it: files may be edited while it runs
         self._slowest = 0.0  # seconds per weighted unit of the slowest item, with the time of its whole batch
-        self._last_look = clock()
         self._checks_without_cores = 0
 
     def run(self, chains: Sequence[ChainProgress]) -> None:
@@ -105,16 +93,10 @@ class _Dispatcher:
         make_ready(chains)
         next_check = -float("inf")
         while ready or self._running:
-            if self._clock() >= next_check:
+            if time.monotonic() >= next_check:
                 n_cores = self._cluster.n_cores  # machines join and leave
                 self._check_cores(n_cores)
-                if self._hanging():  # what has arrived meanwhile does not hang
-                    while (arrived := self._cluster.next_done(timeout=0.0)) is not None:
-                        make_ready(self._finish(*arrived))
-                for ticket, failed in self._hanging():
-                    self._cluster.cancel(ticket)
-                    make_ready(self._finish(ticket, failed))
-                next_check = self._clock() + _SECONDS_BETWEEN_CHECKS
+                next_check = time.monotonic() + _SECONDS_BETWEEN_CHECKS
             queue = max(1, round(_QUEUED_PER_CORE * n_cores))
             while ready and len(self._running) < queue:
                 # Batches must not drain the queue: a core without work is worse than empty lanes.
@@ -155,6 +137,7 @@ class _Dispatcher:
             *contents,
             n_cores=0.0 if is_split(item) else 1.0,
             n_gpus=float(item.execution.n_gpus),
+            seconds=self._limits.seconds(max(progress.next_cost for progress in chains), self._slowest),
             name=f"{item.stage} {' and '.join(item.label for item in items)}",
         )
         self._running[ticket] = list(zip(chains, items, strict=True))
@@ -169,25 +152,8 @@ class _Dispatcher:
             self._shared[slot] = self._cluster.share({name: store.read(manifest, name) for name in source.files})
         return self._shared[slot]
 
-    def _hanging(self) -> list[tuple[Ticket, TaskFailed]]:
-        """Find the batches that have run beyond their limit, without the time in which this process was stopped."""
-        now, started = self._clock(), self._cluster.started()
-        if now - self._last_look > _SECONDS_WHEN_STOPPED:
-            self._started.clear()
-        self._last_look = now
-        hanging = []
-        for ticket, batch in self._running.items():
-            if ticket in started:
-                self._started.setdefault(ticket, now)
-            seconds, why = self._limits.seconds(max(progress.next_cost for progress, _ in batch), self._slowest)
-            if ticket in started and now - self._started[ticket] > seconds:
-                reason = f"it did not end within {seconds:.0f} s{why}, and was stopped"
-                hanging.append((ticket, TaskFailed(ticket.name, reason, "", False)))
-        return hanging
-
     def _finish(self, ticket: Ticket, outcome: Outcome) -> list[ChainProgress]:
         batch = self._running.pop(ticket)
-        self._started.pop(ticket, None)
         if isinstance(outcome, TaskFailed):
             for progress, item in batch:
                 self._fail(progress, item, outcome, batched=len(batch) > 1)

@@ -4,7 +4,7 @@ import contextlib
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from pipeline.cluster import Cluster
 from pipeline.cluster.process import signals_unwind
@@ -14,7 +14,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.background import Background
 from pipeline.workflow.compiling import compiling
 from pipeline.workflow.dispatcher import Limits, run_stage
-from pipeline.workflow.graph import ChainProgress, StageRun, require, results_of
+from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require, results_of
 from pipeline.workflow.progress import NOTHING, Progress, StudyTimes
 from pipeline.workflow.record import DrivenStudy, RecordingBar
 from pipeline.workflow.stage import AnyStage, Results, Upstream
@@ -120,7 +120,6 @@ class _Driver:
     times: Callable[[], StudyTimes]
     how_to_run: Callable[[str], str]
     limits: Limits
-    of_other_code: set[str] = field(default_factory=set)  # stages of which the user knows that other code made items
 
     def run(self, wanted: Sequence[AnyStage]) -> Upstream:
         upstream: dict[str, Results] = {}
@@ -128,9 +127,6 @@ class _Driver:
         for stage in self.stages[: 1 + self.stages.index(last)]:
             run = StageRun(stage, self.settings, upstream, self.store, self.progress.say)
             chains = run.chains()
-            if (other := results_of(stage, chains).other_code) and stage.name not in self.of_other_code:
-                self.of_other_code.add(stage.name)
-                self.progress.say(other)
             if stage not in wanted:
                 upstream[stage.name] = results_of(stage, chains)
                 continue
@@ -147,6 +143,8 @@ class _Driver:
             summary = stage.summarise(self.settings, found, self.store)
             self.progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
             self.mirror.finish(stage, upstream, summary)
+        if line := other_code(upstream):
+            self.progress.say(line)
         return upstream
 
     def _compute(self, run: StageRun, chains: Sequence[ChainProgress]) -> None:

@@ -140,6 +140,17 @@ def results_of(stage: AnyStage, chains: Sequence[ChainProgress]) -> Results:
     )
 
 
+def other_code(upstream: Upstream) -> str:
+    """Name the stages that a different version of the code made, in one line; empty if there are none."""
+    stages = [name for name, results in upstream.items() if results.n_other_code]
+    if not stages:
+        return ""
+    return (
+        f"A different version of the code made items of {', '.join(stages)}. If the change affects results, run again "
+        f"with --recompute {stages[0]}, or raise the stage's version."
+    )
+
+
 def survey(
     settings: Settings, stages: Sequence[AnyStage], store: Store, *, say: Callable[[str], None]
 ) -> dict[str, Results]:

@@ -161,17 +161,6 @@ class Results:
     diverged: Mapping[ChainId, str] = field(default_factory=dict)  # in complete chains; the driver fills it in
     n_other_code: int = 0  # number of items done that a different version of the code made
 
-    @property
-    def other_code(self) -> str:
-        """What to know if a different version of the code made items; empty otherwise."""
-        if not self.n_other_code:
-            return ""
-        return (
-            f"{self.stage}: {self.n_other_code:,} of {sum(self.n_done.values()):,} items were made by a different "
-            f"version of the code. If the change affects results, run again with --recompute {self.stage}, or raise "
-            f"the stage's version."
-        )
-
     def chain(self, identity: ChainId) -> tuple[Manifest, ...]:
         """Return the manifests of a chain; raise MissingInputs, with the reason, if it is not complete."""
         if identity not in self.done:

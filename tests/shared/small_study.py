@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
@@ -61,14 +60,13 @@ def run(
     cluster: Cluster,
     stages: Sequence[AnyStage] = STAGES,
     say: Callable[[str], None] = silent,
-    clock: Callable[[], float] = time.monotonic,
 ) -> dict[str, Results]:
     """Run stages one after the other and return the results of each."""
     upstream: dict[str, Results] = {}
     for stage in stages:
         stage_run = StageRun(stage, settings, upstream, store, say)
         chains = stage_run.chains()
-        run_stage(stage_run, chains, cluster=cluster, bar=NoBar(), clock=clock)
+        run_stage(stage_run, chains, cluster=cluster, bar=NoBar())
         upstream[stage.name] = results_of(stage, chains)
     return upstream
 

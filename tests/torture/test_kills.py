@@ -51,7 +51,7 @@ from pipeline.stages import STAGES
 from pipeline.store.store import Store
 
 settings, root = load(Settings, Path(sys.argv[1])), Path(sys.argv[2])
-on_ray = lambda: logged(ray_cluster("local", 2), root)
+on_ray = lambda: logged(ray_cluster(n_workers=2), root)
 try:
     store = Store.open(root, create=True)
     run_study(settings, store, stages=STAGES[:-1], open_cluster=on_ray)

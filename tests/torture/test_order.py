@@ -133,5 +133,5 @@ def test_the_same_bytes_from_any_number_of_workers(n_workers, expected, torture,
 
 
 def on_ray(n_workers: int, store: Path, rng: np.random.Generator) -> dict[str, list[str]]:
-    with ray_cluster("local", n_workers=n_workers) as ray:
+    with ray_cluster(n_workers=n_workers) as ray:
         return digests(cut(rng), Store.open(store, create=True), Shuffled(ray, n_workers, rng))

@@ -13,16 +13,25 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-import ray
 
 from pipeline.cluster import Cluster, Done, Outcome, Spread, TaskFailed, Ticket, ray_cluster, serial_cluster
-from pipeline.cluster.preflight import check_reachable
-from pipeline.cluster.watchdog import NODE_DIED
 from pipeline.errors import PuddleError
 
 ROOT = Path(__file__).parents[3]
 
-ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # the workers can't import a test
+
+@pytest.fixture(scope="module", autouse=True)
+def sent_to_workers(local_ray: Cluster) -> None:
+    """Let workers have the functions of this module, which they can't import. Ray itself is imported by the driver."""
+    import ray
+
+    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+
+
+def address_of(_: Cluster) -> str:
+    import ray
+
+    return str(ray.get_runtime_context().gcs_address)
 
 
 @pytest.fixture(params=["serial", "ray"])
@@ -150,7 +159,7 @@ def test_a_spread_within_every_core_does_not_wait_for_itself(local_ray):
     assert in_order(local_ray) == [Done([1.0, 0.5])] * 4
 
 
-def test_a_killed_worker_is_tried_again_once_then_reported(local_ray, tmp_path, capfd):
+def test_a_killed_worker_is_tried_again_once_then_reported(local_ray, tmp_path):
     def die(log: Path) -> None:
         with log.open("a") as file:
             file.write("tried\n")
@@ -163,7 +172,6 @@ def test_a_killed_worker_is_tried_again_once_then_reported(local_ray, tmp_path, 
     assert "the dying one" in str(failed) and "WorkerCrashedError" in str(failed)
     assert (tmp_path / "log").read_text() == "tried\n" * 2
     assert done == Done(0.5)
-    assert capfd.readouterr() == ("", "")
 
 
 def test_an_exception_is_not_tried_again(local_ray, tmp_path):
@@ -201,27 +209,24 @@ def test_cancelled_calls_stop_and_give_nothing(local_ray, tmp_path):
     assert only(local_ray) == Done(0.25)
 
 
-def test_what_waits_for_a_core_has_not_begun(local_ray, tmp_path):
-    def wait(path: Path) -> None:
-        while not path.exists():
-            time.sleep(0.02)
+def test_what_hangs_in_compiled_code_is_ended(local_ray):
+    """A thread of Python could not end it: the kernel never gives up the interpreter's lock."""
 
-    def started(n: int) -> set[Ticket]:
-        deadline = time.monotonic() + 60
-        while len(found := local_ray.started()) < n:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        return found
+    def hang() -> float:
+        import numba
 
-    tickets = [local_ray.submit(wait, tmp_path / "end", name=f"wait {n}") for n in range(3)]
-    found = started(2)
-    time.sleep(0.5)
-    assert local_ray.started() == found and len(found) == 2  # of three, on two cores
-    last = local_ray.submit(wait, tmp_path / "end", n_cores=0)
-    assert started(3) == found | {last}
-    (tmp_path / "end").touch()
-    assert set(outcomes(local_ray)) == {*tickets, last}
-    assert local_ray.started() == set()
+        @numba.njit
+        def count() -> float:
+            x = 0.0
+            while x < 1e18:
+                x += 1e-3
+            return x
+
+        return count()
+
+    local_ray.submit(hang, seconds=5.0, name="the hanging one")
+    failed = only(local_ray)
+    assert isinstance(failed, TaskFailed) and failed.infrastructure and "the hanging one" in str(failed)
 
 
 def test_a_worker_has_one_thread_in_every_library(local_ray):
@@ -239,58 +244,79 @@ def test_a_worker_has_one_thread_in_every_library(local_ray):
     assert set(found.values()) == {1}, found
 
 
-def test_a_stranger_without_the_token_is_refused(local_ray, monkeypatch):
+def test_a_stranger_without_the_token_is_refused(local_ray):
     token = Path(os.environ["RAY_AUTH_TOKEN_PATH"])
     assert token.stat().st_mode & 0o777 == 0o600
     assert token.parent.stat().st_mode & 0o777 == 0o700
-    address = ray.get_runtime_context().gcs_address
-    monkeypatch.delenv("RAY_AUTH_TOKEN_PATH")
-    monkeypatch.setenv("RAY_AUTH_TOKEN", "0" * 64)
-    with pytest.raises(PuddleError, match="InvalidAuthToken") as refused:
-        check_reachable(address, seconds=4.0)
-    assert address in str(refused.value) and "RAY_AUTH_TOKEN" in str(refused.value)
+    program = "import sys; from pipeline.cluster import ray_cluster; ray_cluster(sys.argv[1]).__enter__()"
+    environment = os.environ | {"RAY_AUTH_TOKEN": "0" * 64}
+    del environment["RAY_AUTH_TOKEN_PATH"]
+    words = [sys.executable, "-c", program, address_of(local_ray)]
+    refused = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=200)
+    assert refused.returncode != 0
+    assert "cannot use the Ray cluster at 127.0.0.1:" in refused.stderr and "RAY_AUTH_TOKEN" in refused.stderr
 
 
 def test_an_existing_cluster_is_sent_the_packages(local_ray, tmp_path):
-    """A driver elsewhere finds the cluster by RAY_ADDRESS; its workers import what it sent.
-
-    Where its own node dies, that is said of the cluster's node and not of a Ray of its own, which has --workers.
-    """
+    """A driver elsewhere joins by address; its workers import what it sent, also under `uv run` and behind a proxy."""
     driver = """
-import ray
-from pipeline.cluster import ray_cluster
-def dead(_):
-    raise ray.exceptions.LocalRayletDiedError
+import sys
+from pipeline.cluster import prepare_process, ray_cluster
+prepare_process()
 def where():
     import pipeline.cluster, tasks.design.genes
     return pipeline.cluster.__file__, tasks.design.genes.__file__
-with ray_cluster() as cluster:
+with ray_cluster(sys.argv[1]) as cluster:
     cluster.submit(where)
-    print(*cluster.next_done()[1].result, cluster.n_cores, sep="\\n")
-    cluster.submit(where)
-    ray.get = dead
-    try:
-        cluster.next_done()
-    except Exception as error:
-        print(error)
+    print(*cluster.next_done()[1].result, cluster.n_cores, sep="\\n", file=sys.stderr)
 """
-    address = ray.get_runtime_context().gcs_address
-    environment = os.environ | {"RAY_ADDRESS": address, "PYTHONPATH": os.pathsep.join(sys.path)}
-    ran = subprocess.run(
-        [sys.executable, "-c", driver], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
-    )
+    proxy = dict.fromkeys(("http_proxy", "https_proxy", "grpc_proxy"), "http://192.0.2.9:9")
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "RAY_ADDRESS": "http://elsewhere:8265",
+        **proxy,
+    }
+    words = [sys.executable, "-c", driver, address_of(local_ray)]
+    ran = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200)
     assert ran.returncode == 0, ran.stderr
-    ours, science, n_cores, *died = ran.stdout.splitlines()
+    ours, science, n_cores = ran.stderr.splitlines()
     assert "py_modules_files" in ours and "py_modules_files" in science
     assert float(n_cores) == 2.0
-    assert "\n".join(died) == NODE_DIED.format(address=address)
-    assert ran.stderr == ""
 
 
-def closed_port() -> str:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return f"127.0.0.1:{listener.getsockname()[1]}"
+DIES = """
+import sys, psutil
+from pipeline.cluster import prepare_process, ray_cluster
+prepare_process()
+def forever():
+    while True: pass
+with ray_cluster(n_workers=1) as cluster:
+    cluster.submit(forever)
+    cluster.next_done(timeout=1.0)
+    servers = {process.name(): process for process in psutil.Process().children()}
+    servers[sys.argv[1]].kill()
+    cluster.next_done()
+"""
+
+
+@pytest.mark.parametrize("server", ["raylet", "gcs_server"])
+def test_the_death_of_a_server_is_reported_at_once_and_leaves_no_process(server):
+    begin, environment = time.monotonic(), os.environ | {"PUDDLE_MARK": "dies"}
+    ran = subprocess.run(
+        [sys.executable, "-c", DIES, server], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
+    assert time.monotonic() - begin < 120.0
+    assert "Ray on this machine died" in ran.stderr and ran.stdout == ""
+    end = time.monotonic() + 60.0
+    while [one for one in psutil.process_iter() if _is_marked(one)]:
+        assert time.monotonic() < end
+        time.sleep(0.5)
+
+
+def _is_marked(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):
+        return process.environ().get("PUDDLE_MARK") == "dies" and process.status() != psutil.STATUS_ZOMBIE
+    return False
 
 
 LOSES_A_MACHINE = """
@@ -312,7 +338,7 @@ with ray_cluster(machines.address) as cluster:
     machines.remove_node(lost, allow_graceful=False)
     machines.add_node(num_cpus=1)
     results = dict(cluster.next_done() for _ in tickets)
-    print(*(results[ticket].result for ticket in tickets))
+print(*(results[ticket].result for ticket in tickets))
 machines.shutdown()
 """
 
@@ -344,54 +370,17 @@ def test_what_is_no_address_of_a_cluster_is_refused(where: str):
     assert where in str(refused.value) and "--address" in str(refused.value)
 
 
-def test_an_address_where_nothing_answers_is_said_at_once():
-    where = closed_port()
+def test_an_address_where_nothing_answers_is_refused_at_once():
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        where = f"127.0.0.1:{listener.getsockname()[1]}"
     begin = time.monotonic()
-    with pytest.raises(PuddleError) as unreachable, ray_cluster(where):
+    with pytest.raises(PuddleError, match="nothing answers there") as unreachable, ray_cluster(where):
         pass
-    assert time.monotonic() - begin < 60  # Ray itself takes two minutes
+    assert time.monotonic() - begin < 20.0  # Ray itself tries for minutes
     assert where in str(unreachable.value) and "--address" in str(unreachable.value)
 
 
-def test_a_port_that_is_not_rays_is_given_up_on():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen()
-        begin = time.monotonic()
-        with pytest.raises(PuddleError, match="did not admit us within 1 s"):
-            check_reachable(f"127.0.0.1:{listener.getsockname()[1]}", seconds=1.0)
-        assert time.monotonic() - begin < 60  # Ray itself takes two minutes
-
-
-def test_a_process_that_asks_a_cluster_ends_with_a_driver_that_is_killed():
-    """The cluster takes its call and never answers."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        listener.settimeout(60)
-        program = "import sys; from pipeline.cluster.preflight import check_reachable; check_reachable(sys.argv[1])"
-        words = [sys.executable, "-c", program, f"127.0.0.1:{listener.getsockname()[1]}"]
-        on_loopback = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}  # else Ray calls this machine by another address
-        driver = subprocess.Popen(words, cwd=ROOT, env=os.environ | on_loopback)
-        try:
-            calls = [listener.accept()[0] for _ in range(2)]  # the driver's own, and the one of the process that asks
-            (asking,) = psutil.Process(driver.pid).children()
-        finally:
-            driver.kill()
-            driver.wait()
-        try:
-            asking.wait(timeout=15)
-        finally:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                asking.kill()
-            for call in calls:
-                call.close()
-
-
-def test_a_slow_import_does_not_count_against_the_cluster(monkeypatch, tmp_path):
-    (tmp_path / "ray.py").write_text("import time; time.sleep(3.0)\ndef init(**_): pass")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    check_reachable("auto", seconds=2.5)
-
-
 def test_no_workers_is_refused():
-    with pytest.raises(PuddleError, match="workers: expected at least 1, got 0"), ray_cluster("local", n_workers=0):
+    with pytest.raises(PuddleError, match="workers: expected at least 1, got 0"), ray_cluster(n_workers=0):
         pass

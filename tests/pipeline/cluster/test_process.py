@@ -8,56 +8,23 @@ import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.cluster.process import memory_bounded, signals_deferred, signals_unwind
+from pipeline.cluster.process import memory_bounded, number_of_cores, prepare_process, signals_unwind
 from pipeline.commands.exit_codes import interruptible
 
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_is_held_until_the_end_and_then_comes_through(number):
-    class Received(Exception):  # noqa: N818
-        pass
-
-    def come(*_):
-        raise Received
-
-    others = {*threading.enumerate()}
-    before = signal.signal(number, come)
-    reached = []
-    try:
-        with pytest.raises(Received), signals_deferred():
-            os.kill(os.getpid(), number)
-            time.sleep(0.01)  # bytecode for the interpreter to deliver it at
-            os.kill(os.getpid(), number)
-            reached.append("the end")
-        assert reached == ["the end"]
-        assert signal.getsignal(number) is come
-        timers = [thread for thread in {*threading.enumerate()} - others if isinstance(thread, threading.Timer)]
-        assert all(timer.finished.is_set() for timer in timers)  # the last resort is called off
-    finally:
-        signal.signal(number, before)
-
-
-def test_without_a_signal_nothing_happens():
-    before = signal.getsignal(signal.SIGTERM)
-    with signals_deferred():
-        assert signal.getsignal(signal.SIGTERM) is not before
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
-def test_what_does_not_end_is_ended_with_the_signals_code():
+def test_a_signal_within_what_bears_no_exception_ends_the_process():
     program = """
 import time
-from pipeline.cluster.process import signals_deferred
-with signals_deferred():
+from pipeline.cluster.process import ended_by_signals
+with ended_by_signals("why"):
     print("held", flush=True)
     while True:
         time.sleep(0.01)
@@ -68,8 +35,23 @@ with signals_deferred():
     assert child.stdout.readline() == "held\n"
     child.send_signal(signal.SIGTERM)
     _, said = child.communicate(timeout=60)
-    assert child.returncode == 128 + signal.SIGTERM
-    assert "Committed results are safe: the same command resumes." in said
+    assert (child.returncode, said) == (128 + signal.SIGTERM, "\nwhy\n")
+
+
+def test_the_environment_of_libraries_is_prepared(monkeypatch):
+    monkeypatch.setattr(os, "environ", {"MPLBACKEND": "module://matplotlib_inline", "no_proxy": "example.org"})
+    prepare_process()
+    assert os.environ["MPLBACKEND"] == "agg" and os.environ["OMP_NUM_THREADS"] == "1"
+    assert os.environ["no_proxy"] == "example.org,localhost,127.0.0.1,::1"
+    assert os.environ["NO_PROXY"] == "localhost,127.0.0.1,::1"
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux's")
+@pytest.mark.parametrize(("quota", "n_cores"), [("50000 100000", 1), ("max 100000", 1), ("350000 100000", 3)])
+def test_cores_are_those_of_the_affinity_and_the_quota(quota, n_cores, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(1 if quota.startswith("max") else 8))
+    monkeypatch.setattr(Path, "read_text", lambda _: quota)
+    assert number_of_cores() == n_cores
 
 
 def test_what_is_ended_at_once_leaves_a_terminal_its_cursor():
@@ -126,18 +108,16 @@ def test_whoever_stops_a_command_is_told_how_it_goes_on(number, capsys, monkeypa
     assert ended.value.code == 128 + number
 
 
-@pytest.mark.parametrize("taking", [signals_unwind, signals_deferred])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_that_is_ignored_stays_so(number, taking):
+def test_a_signal_that_is_ignored_stays_so(number):
     """`nohup puddle study &` outlives its terminal; Ray, which takes signals without a question, changes nothing."""
     before = signal.signal(number, signal.SIG_IGN)
     try:
-        with taking() as take_back:
+        with signals_unwind() as take_back:
             assert signal.getsignal(number) == signal.SIG_IGN
             signal.signal(number, signal.SIG_DFL)
-            if take_back is not None:
-                take_back()
-                os.kill(os.getpid(), number)
+            take_back()
+            os.kill(os.getpid(), number)
         assert signal.getsignal(number) == signal.SIG_IGN
     finally:
         signal.signal(number, before)

@@ -10,7 +10,7 @@ from command_line import call, refused
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.store.encoding import encode_sealed
+from pipeline.store.encoding import encode_document
 from pipeline.store.store import Store, StudyRecord
 
 
@@ -97,9 +97,9 @@ def test_the_record_of_an_early_store_has_no_source(store):
     path = store.study_path("tiny") / "study.json"
     body = json.loads(path.read_text())
     early = {name: body[name] for name in ("name", "settings", "items", "failed")}
-    path.write_bytes(encode_sealed(early, schema="puddle.study", version=1))
+    path.write_bytes(encode_document(early, schema="puddle.study", version=1))
     assert store.read_study("tiny").source == ""
-    path.write_bytes(encode_sealed({**early, "source": 3}, schema="puddle.study", version=1))
+    path.write_bytes(encode_document({**early, "source": 3}, schema="puddle.study", version=1))
     with pytest.raises(PuddleError, match="source"):
         store.read_study("tiny")
 

@@ -67,7 +67,7 @@ def test_every_check_passes_where_the_tests_run(options, capsys):
 def test_problems_are_found(store, tmp_path, monkeypatch):
     monkeypatch.setattr(examination, "_SPARE_BYTES", 1e18)
     monkeypatch.setattr(examination, "_BYTES_PER_WORKER", 1e15)
-    monkeypatch.setenv("RAY_ADDRESS", "head:6379")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://head:5000")
     constraints = tmp_path / "constraints.txt"
     constraints.write_text("numpy==0.1\nBox2D==2.3.10\n")
     monkeypatch.setattr(examination, "_CONSTRAINTS", constraints)
@@ -79,7 +79,7 @@ def test_problems_are_found(store, tmp_path, monkeypatch):
     assert found["disk"].verdict == "fail" and "puddle gc" in found["disk"].advice
     assert found["memory"].verdict == "fail" and "--workers 0" in found["memory"].advice
     assert found["versions"].verdict == "warn" and "numpy" in found["versions"].found
-    assert found["ports"].verdict == "warn" and "RAY_ADDRESS=head:6379" in found["ports"].found
+    assert found["ports"].verdict == "warn" and "MLFLOW_TRACKING_URI=http://head:5000" in found["ports"].found
     assert "study tiny is driven by process" in found["store"].found
 
 

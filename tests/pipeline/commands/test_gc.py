@@ -1,6 +1,5 @@
 """`puddle gc` on a store with a finished study, or one stopped halfway."""
 
-import os
 import shutil
 from pathlib import Path
 
@@ -214,7 +213,7 @@ def test_folders_of_dead_drivers_are_swept(options, store, tmp_path, monkeypatch
     monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)
     dead = tmp_path / "puddle-12345678"
     dead.mkdir()
-    os.close(session._lock(dead))
+    (dead / ".puddle-session").touch()
     stranger = tmp_path / "puddle-notes"
     stranger.mkdir()
     (stranger / "lock").write_text("of another program")

@@ -30,8 +30,8 @@ def plain(text: str) -> str:
 def test_commands_are_in_panels_and_no_line_is_clipped(width, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     said = help_of(capsys, "--help")
-    assert re.findall(r"╭─ (\w+) ─", said) == ["Options", "Run", "Look", "Build", "Maintain"]
-    assert {command.rich_help_panel for command in SHOWN.values()} == {"Run", "Look", "Build", "Maintain"}
+    assert re.findall(r"╭─ (\w+) ─", said) == ["Options", "Daily", "Build", "Care", "Stages"]
+    assert {command.rich_help_panel for command in SHOWN.values()} == {"Daily", "Build", "Care", "Stages"}
     assert "…" not in said and "..." not in said.replace("[ARGS]...", "")
     assert max(map(len, said.splitlines())) <= width
     for name, command in SHOWN.items():

@@ -7,7 +7,7 @@ import pytest
 from command_line import call
 
 from pipeline.commands.study_list import list_studies
-from pipeline.store.encoding import encode_sealed
+from pipeline.store.encoding import encode_document
 from pipeline.store.store import STUDY_SCHEMA, FailedChain, Store, StudyRecord
 
 
@@ -113,7 +113,7 @@ def test_what_a_strangers_record_says_does_not_reach_the_terminal_raw(options, c
     body = json.loads(path.read_text())
     hostile = {name: body[name] for name in ("name", "settings", "items")}
     hostile["items"][0][1] = "dry\x1b]0;owned\x07 \u202e"
-    path.write_bytes(encode_sealed(hostile, schema=STUDY_SCHEMA, version=1))
+    path.write_bytes(encode_document(hostile, schema=STUDY_SCHEMA, version=1))
     for command in (("status", "--study", "tiny"), ("studies",), ("verify",), ("gc",), ("studies", "--json")):
         call(*command, "--store", str(store.root))
         said = capsys.readouterr()

@@ -11,7 +11,7 @@ from command_line import call
 from small_study import n_items
 
 from pipeline.errors import DamagedArtifact
-from pipeline.store.encoding import encode_sealed
+from pipeline.store.encoding import encode_document
 from pipeline.store.store import Store, StudyRecord
 
 
@@ -52,7 +52,7 @@ def make_newer(document: Path) -> None:
     """Seal a document with the next schema version."""
     found = json.loads(document.read_text())
     body = {name: inner for name, inner in found.items() if name not in ("schema", "version", "sha256")}
-    document.write_bytes(encode_sealed(body, schema=found["schema"], version=found["version"] + 1))
+    document.write_bytes(encode_document(body, schema=found["schema"], version=found["version"] + 1))
 
 
 @pytest.mark.parametrize(("spoil", "repaired"), [(swap_for_a_manifest, True), (make_newer, False)])

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 from one_item import FILES, IDENTITY, KEY, RECORD, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
-from pipeline.store.encoding import digest, encode_sealed, key_of
+from pipeline.store.encoding import digest, encode_document, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyItem, StudyRecord
 
@@ -98,23 +97,6 @@ def test_size_is_that_of_all_files(store: Store) -> None:
     assert store.size_bytes() == sum(len(data) for data in tree(store.root).values())
 
 
-def test_a_folder_that_vanishes_meanwhile_holds_nothing(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where `puddle gc --remove` is at work beside it."""
-    commit(store)
-    size, empty = store.size_bytes(), store.root / "items" / "train"
-    plain = os.scandir
-
-    def scandir(path: object) -> object:
-        if os.fspath(path) == str(empty):
-            empty.rmdir()
-        return plain(path)
-
-    monkeypatch.setattr(os, "scandir", scandir)
-    for look, found in (store.size_bytes, size), (store.links, []):
-        empty.mkdir()
-        assert look() == found and not empty.exists()
-
-
 def test_a_key_that_is_not_of_its_identity_and_bad_file_names_are_defects(store: Store) -> None:
     with pytest.raises(ValueError, match=f"expected the key of its identity, {KEY}"):
         store.commit("evolve", "0" * 64, IDENTITY, FILES, record={})
@@ -193,35 +175,12 @@ def test_a_study_record_comes_back(store: Store) -> None:
 def test_a_damaged_study_record_is_told(store: Store) -> None:
     store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
     path = store.root / "studies" / "laptop" / "study.json"
-    path.write_bytes(path.read_bytes().replace(b'"seed": 1', b'"seed": 2'))
+    path.write_bytes(path.read_bytes()[:-9])
     (wrong,) = store.verify()
     assert str(path) in str(wrong) and "running the study again rewrites the file" in str(wrong)
-    path.write_bytes(encode_sealed({"name": "laptop", "items": [3]}, schema="puddle.study", version=1))
+    path.write_bytes(encode_document({"name": "laptop", "items": [3]}, schema="puddle.study", version=1))
     with pytest.raises(DamagedArtifact, match="expected a study's name, settings and items"):
         store.read_study("laptop")
-
-
-@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
-def test_what_took_the_place_of_a_study_record_is_damage_and_gives_way(store: Store, make: Callable) -> None:
-    store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
-    path = store.study_path("laptop") / "study.json"
-    path.unlink()
-    make(path)
-    with pytest.raises(
-        DamagedArtifact, match=f"{path}: expected a study's record, got not a regular file. .* rewrites"
-    ):
-        store.read_study("laptop")
-    store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
-    assert store.read_study("laptop").settings == {"seed": 1}
-
-
-def test_a_folder_in_the_place_of_a_study_record_that_holds_something_is_left_alone(store: Store) -> None:
-    path = store.study_path("laptop") / "study.json"
-    path.mkdir(parents=True)
-    (path / "theirs").touch()
-    with pytest.raises(PuddleError, match=f"not empty.*{path}"):
-        store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
-    assert (path / "theirs").exists()
 
 
 DRIVER = """
@@ -252,12 +211,6 @@ def test_a_study_has_one_driver_which_is_named_to_a_second(store: Store) -> None
     assert store.driver_of("laptop") is None
     with store.lock_study("laptop"):
         assert f"process {os.getpid()} " in store.driver_of("laptop")
-
-
-def test_a_driver_whose_command_is_no_unicode_is_named(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["puddle", "study", "--store", os.fsdecode(b"st\xf6re")])
-    with store.lock_study("laptop"):
-        assert "(puddle study --store st\\udcf6re)" in store.driver_of("laptop")
 
 
 def test_asking_who_drives_is_never_in_the_drivers_way(store: Store) -> None:

@@ -246,27 +246,6 @@ def test_a_failing_disk_is_explained_and_loses_nothing(
     assert store.verify() == []
 
 
-def test_other_bytes_on_the_disk_and_links_say_what_is_safe_and_what_to_do(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    (store.root / "items").symlink_to(tmp_path / "elsewhere")
-    said = r"/items: .*symbolic link\..* not followed; committed results are safe\..*Replace the link .*`puddle verify`"
-    with pytest.raises(PuddleError, match=said):
-        commit(store)
-    assert not list((tmp_path / "elsewhere").iterdir())
-    (store.root / "items").unlink()
-    commit(store)
-    write = disk.write
-    monkeypatch.setattr(disk, "write", lambda path, data: write(path, data[:-1] + b"?"))
-    said = (
-        r"study\.json: expected the bytes .*committed results are safe\. Check the disk.*`puddle verify`.* same command"
-    )
-    with pytest.raises(PuddleError, match=said):
-        store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
-    assert store.verify() == [] and store.read_study("laptop") is None
-
-
 @contextlib.contextmanager
 def mounted(folder: Path, *options: str) -> Iterator[None]:
     done = subprocess.run(["mount", "-t", "tmpfs", "-o", ",".join(options), "tmpfs", str(folder)], capture_output=True)

@@ -1,41 +1,20 @@
 """The store refuses what is damaged, foreign or hostile: bits, files, folders, names, links."""
 
-import json
-import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 from one_item import FILES, IDENTITY, KEY, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store import disk
-from pipeline.store.encoding import digest, encode_sealed, key_of
+from pipeline.store.encoding import encode_document, key_of
 from pipeline.store.store import Store, StudyRecord
 
 # -- damage ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [*FILES, "manifest.json"])
-def test_no_flipped_bit_is_accepted(store: Store, name: str) -> None:
-    commit(store)
-    path = item(store) / name
-    good = path.read_bytes()
-    bits = np.random.default_rng(8).permutation(8 * len(good))[:400]
-    for bit in bits:
-        bad = bytearray(good)
-        bad[bit // 8] ^= 1 << (bit % 8)
-        path.write_bytes(bad)
-        with pytest.raises(PuddleError) as told:
-            for file in store.manifest("evolve", KEY).files:
-                store.read(store.manifest("evolve", KEY), file)
-        assert str(path) in str(told.value)
-    path.write_bytes(good)
-    assert store.verify() == []
-
-
 @pytest.mark.parametrize("name", ["history.parquet", "manifest.json"])
-@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "gone", "folder", "pipe"])
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "gone", "folder"])
 def test_damage_is_found_named_and_mended_by_discarding(store: Store, name: str, damage: str) -> None:
     commit(store)
     undisturbed = tree(store.root)
@@ -44,15 +23,15 @@ def test_damage_is_found_named_and_mended_by_discarding(store: Store, name: str,
     path.unlink()
     match damage:
         case "flip":
-            path.write_bytes(good.replace(b"0", b"1", 1) if name == "manifest.json" else b"R" + good[1:])
+            path.write_bytes(
+                good.replace(b'"sha256": "', b'"sha256": "0', 1) if name == "manifest.json" else b"R" + good[1:]
+            )
         case "cut":
             path.write_bytes(good[: len(good) // 2])
         case "empty":
             path.write_bytes(b"")
         case "folder":
             path.mkdir()
-        case "pipe":
-            os.mkfifo(path)
     if (name, damage) == ("manifest.json", "gone"):  # then it never happened
         assert store.manifest("evolve", KEY) is None and store.verify() == []
     else:
@@ -67,17 +46,6 @@ def test_damage_is_found_named_and_mended_by_discarding(store: Store, name: str,
         store.discard("evolve", KEY)
     commit(store)
     assert tree(store.root) == undisturbed
-
-
-def test_every_damaged_file_of_an_item_is_named(store: Store) -> None:
-    commit(store)
-    paths = [item(store) / name for name in FILES]
-    for path in paths[:2]:
-        path.write_bytes(b"R" + path.read_bytes()[1:])
-    paths[2].unlink()
-    (wrong,) = store.verify()
-    assert all(str(path) in str(wrong) for path in paths)
-    assert (wrong.stage, wrong.key) == ("evolve", KEY) and str(wrong).count("computed again") == 1
 
 
 def test_a_file_that_is_too_long_to_be_read_again_is_not_kept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,14 +76,6 @@ def test_a_commit_leaves_no_stray_files(store: Store) -> None:
     assert {path.name for path in item(store).iterdir()} == {*FILES, "manifest.json"}
 
 
-def test_a_disk_that_writes_other_bytes_is_found_out(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    write = disk.write
-    monkeypatch.setattr(disk, "write", lambda path, data: write(path, data.replace(b"rows", b"cows")))
-    with pytest.raises(PuddleError, match=r"history\.parquet: expected the bytes just written, got others\. The file"):
-        commit(store)
-    assert store.manifest("evolve", KEY) is None
-
-
 def test_a_commit_replaces_a_damaged_item(store: Store) -> None:
     commit(store)
     undisturbed = tree(store.root)
@@ -136,33 +96,10 @@ def test_a_manifest_in_another_items_place_is_refused(store: Store) -> None:
         store.manifest("evolve", key_of(other))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"files": {"../../../../secret": {"sha256": digest(b""), "bytes": 0}}},
-        {"files": {}},
-        {"files": [1]},
-        {"files": {"log": 3}},
-        *({"files": {"log": {"sha256": digest(b""), "bytes": n}}} for n in (0.0, True, "0", -1, 2**44, 10**400, None)),
-        *({"files": {"log": {"sha256": word, "bytes": 0}}} for word in ("", digest(b"").upper(), [], None, "é" * 64)),
-        *({"record": {"seconds": seconds}} for seconds in (10**400, -1, "nan", True, [])),
-        {"record": None, "identity": 3},
-    ],
-)
-def test_a_well_sealed_manifest_with_odd_content_is_refused(store: Store, change: dict[str, object]) -> None:
-    commit(store)
-    path = item(store) / "manifest.json"
-    body = {**json.loads(path.read_text()), **change}
-    body.pop("sha256")
-    path.write_bytes(encode_sealed(body, schema="puddle.manifest", version=1))
-    with pytest.raises(DamagedArtifact, match=r"manifest\.json: expected"):
-        store.manifest("evolve", KEY)
-
-
 def test_a_manifest_of_a_newer_puddle_is_neither_used_nor_lost(store: Store) -> None:
     commit(store)
     path = item(store) / "manifest.json"
-    newer = encode_sealed({"all": "new"}, schema="puddle.manifest", version=2)
+    newer = encode_document({"all": "new"}, schema="puddle.manifest", version=2)
     path.write_bytes(newer)
     for use in (lambda: store.manifest("evolve", KEY), lambda: commit(store)):
         with pytest.raises(PuddleError, match=r"got version 2\. A newer puddle wrote it: upgrade puddle") as told:
@@ -195,10 +132,10 @@ def test_a_store_of_a_newer_puddle_or_a_damaged_one_is_refused(tmp_path: Path) -
     store = Store.open(tmp_path / "store", create=True)
     path = store.root / "store.json"
     good = path.read_bytes()
-    path.write_bytes(encode_sealed({}, schema="puddle.store", version=2))
+    path.write_bytes(encode_document({}, schema="puddle.store", version=2))
     with pytest.raises(PuddleError, match=r"expected 'puddle\.store' version 1, got version 2\. A newer puddle"):
         Store.open(store.root, create=True)
-    for bad in (good[:-3], b"", good.replace(b'"sha256": "', b'"sha256": "0')):
+    for bad in (good[:-3], b""):
         path.write_bytes(bad)
         with pytest.raises(PuddleError, match=r"store\.json.*Copy store.json from any other"):
             Store.open(store.root, create=True)
@@ -230,21 +167,6 @@ def test_hostile_names_are_refused(store: Store, name: str) -> None:
         with pytest.raises(PuddleError, match="expected"):
             use()
     assert tree(store.root) == before
-
-
-@pytest.mark.parametrize("depth", range(5))
-def test_symbolic_links_are_refused_at_every_level(store: Store, tmp_path: Path, depth: int) -> None:
-    committed = commit(store)
-    place = [*item(store).relative_to(store.root).parts, "log"][: depth + 1]
-    path = store.root.joinpath(*place)
-    elsewhere = tmp_path / "elsewhere"
-    path.rename(elsewhere)
-    path.symlink_to(elsewhere)
-    for use in (lambda: store.manifest("evolve", KEY), lambda: store.read(committed, "log")):
-        with pytest.raises(PuddleError, match=f"{path}: expected a file or a folder, got a symbolic link"):
-            use()
-    (wrong,) = store.verify()
-    assert f"{path}: expected" in str(wrong)
 
 
 def test_a_link_to_the_store_itself_is_the_users_choice(store: Store, tmp_path: Path) -> None:
