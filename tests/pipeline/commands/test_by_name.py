@@ -9,7 +9,6 @@ from command_line import call, refused
 
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
-from pipeline.errors import PuddleError
 from pipeline.store.encoding import encode_document
 from pipeline.store.store import Store, StudyRecord
 
@@ -99,9 +98,6 @@ def test_the_record_of_an_early_store_has_no_source(store):
     early = {name: body[name] for name in ("name", "settings", "items", "failed")}
     path.write_bytes(encode_document(early, schema="puddle.study", version=1))
     assert store.read_study("tiny").source == ""
-    path.write_bytes(encode_document({**early, "source": 3}, schema="puddle.study", version=1))
-    with pytest.raises(PuddleError, match="source"):
-        store.read_study("tiny")
 
 
 def test_a_kit_takes_a_study_by_its_name(store, tmp_path, capsys):
