@@ -147,7 +147,7 @@ def remove_garbage(store: Store, garbage: Garbage) -> None:
         with disk.explained("removing", path):
             disk.unlink(path)
     for stage, key in (*garbage.items, *garbage.uncommitted):
-        store.remove(stage, key)
+        store.discard(stage, key)
     session.sweep()
 
 

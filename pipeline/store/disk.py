@@ -63,15 +63,11 @@ def temporary(path: Path) -> Path:
 
 
 def place(path: Path, data: bytes) -> None:
-    """Write a file atomically: after a crash at any point it is complete under its name, or absent.
+    """Write a file atomically: after a crash at any point it is complete under its name, or as it was before.
 
     The caller must hold a lock on the folder. An interrupted call leaves at most one temporary file, which the next
     call overwrites.
     """
-    with contextlib.suppress(OSError):
-        if read(path, at_most=len(data)) == data:  # there may be no room for a second copy
-            fsync(path.parent)
-            return
     write(temporary(path), data)
     fsync(temporary(path))
     rename(temporary(path), path)
@@ -97,33 +93,23 @@ def unused(path: Path) -> Path:
 
 def make_folders(root: Path, folder: Path) -> None:
     """Create the folders between an existing root and a folder below it, and flush them."""
-    below = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and path != root]
-    missing = [path for path in below if not path.is_dir()]
-    if deepest := below[len(missing) : len(missing) + 1]:
-        fsync(deepest[0].parent)  # its creator may have died before flushing it
-    for path in reversed(missing):
-        mkdir(path)
-        fsync(path.parent)
+    for path in reversed([path for path in (folder, *folder.parents) if path.is_relative_to(root) and path != root]):
+        if not path.is_dir():
+            mkdir(path)
+            fsync(path.parent)
 
 
 def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
-    """Read a file, and of one longer than ``at_most`` one byte more."""
-    with path.open("rb") as file:
-        return file.read(min(at_most, os.fstat(file.fileno()).st_size) + 1)  # read() allocates its argument at once
+    """Read a file; one longer than ``at_most`` bytes is a DamagedArtifact."""
+    if (n_bytes := path.stat().st_size) > at_most:
+        raise DamagedArtifact(f"{path}: expected at most {at_most} bytes, got {n_bytes}")
+    return path.read_bytes()
 
 
 def digest_of(path: Path) -> str:
     """Return a file's SHA-256 without reading it whole into memory."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def read_document(path: Path) -> bytes:
-    """Read a JSON document as :func:`read` does; one longer than any that puddle writes is a DamagedArtifact."""
-    data = read(path)
-    if len(data) > MAX_DOCUMENT_BYTES:
-        raise DamagedArtifact(f"{path}: expected at most {MAX_DOCUMENT_BYTES} bytes, got {path.stat().st_size}")
-    return data
 
 
 def size_bytes(folder: Path) -> int:

@@ -7,7 +7,7 @@ import contextlib
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,92 +82,68 @@ class Items:
         folder = self._item(stage, key)
         with disk.explained(f"committing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
             with contextlib.suppress(DamagedArtifact):  # a damaged one counts as missing: here is its successor
-                if committed := self._verified(stage, key):
+                if committed := self.verified(stage, key):
                     manifests.refuse_other_content(committed, manifest)
                     return committed
-            disk.make_folders(self.root, folder)
             self._clear(folder)
+            disk.make_folders(self.root, folder)
             for name, data in sorted(files.items()):
                 disk.place(folder / name, data)
             disk.place(folder / MANIFEST, manifests.encode_manifest(manifest))
         return manifest
 
-    def _verified(self, stage: str, key: str) -> Manifest | None:
-        """Hash an item's files and return its manifest; the error names every damaged file."""
-        manifest = self.listing(stage, key)
-        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
-            if wrong := list(self._bad_files(manifest)) if manifest is not None else []:
-                raise DamagedArtifact("; ".join(wrong))
-        return manifest
-
-    def _bad_files(self, manifest: Manifest) -> Iterator[str]:
-        """Describe each file that differs from what was committed."""
-        for name, entry in manifest.files.items():
-            path = self._item(manifest.stage, manifest.key) / name
-            if problem := _other_length(path, entry):
-                yield problem
-            elif (found := disk.digest_of(path)) != entry.sha256:
-                yield f"{path}: expected SHA-256 {entry.sha256}, got {found}"
+    def listing(self, stage: str, key: str) -> Manifest | None:
+        """Return an item's manifest without looking at its files; otherwise as :meth:`manifest`."""
+        return self._manifest(stage, key, lambda path, entry: None)
 
     def manifest(self, stage: str, key: str) -> Manifest | None:
         """Return an item's manifest, or None if the item was never committed; raise DamagedArtifact if it is damaged.
 
-        This verifies the manifest and the presence and length of the files; their contents are verified when read.
+        This looks for every file, and at its length; the content is verified when it is read.
         """
-        manifest = self.listing(stage, key)
-        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
-            for name, entry in manifest.files.items() if manifest is not None else ():
-                if problem := _other_length(self._item(stage, key) / name, entry):
-                    raise DamagedArtifact(problem)
-        return manifest
+        return self._manifest(stage, key, _check_length)
 
-    def listing(self, stage: str, key: str) -> Manifest | None:
-        """Return an item's verified manifest without looking at its files; otherwise as :meth:`manifest`."""
-        path = self.manifest_path(stage, key)
-        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
+    def verified(self, stage: str, key: str) -> Manifest | None:
+        """Return an item's manifest as :meth:`manifest` does, and hash its files, too."""
+        return self._manifest(stage, key, _check_content)
+
+    def _manifest(self, stage: str, key: str, check: Callable[[Path, FileEntry], None]) -> Manifest | None:
+        folder = self._item(stage, key)
+        with self._damage(stage, key):
             try:
-                data = disk.read_document(path)
+                data = disk.read(folder / MANIFEST)
             except FileNotFoundError:
                 return None
-            except IsADirectoryError:
-                raise DamagedArtifact(f"{path}: expected a manifest, got a folder") from None
-            return manifests.decode_manifest(data, stage=stage, key=key, source=str(path))
+            manifest = manifests.decode_manifest(data, stage=stage, key=key, source=str(folder / MANIFEST))
+            for name, entry in manifest.files.items():
+                check(folder / name, entry)
+        return manifest
 
     def read(self, manifest: Manifest, name: str) -> bytes:
         """Return the content of a file; raise DamagedArtifact if it differs from what was committed."""
-        path = self._item(manifest.stage, manifest.key) / name
-        entry = manifest.files[name]
-        with disk.explained(f"reading {name}", self.root), self._damage(manifest.stage, manifest.key):
-            try:
-                data = disk.read(path, at_most=entry.n_bytes)
-            except (FileNotFoundError, IsADirectoryError) as error:
-                raise DamagedArtifact(f"{path}: expected {entry.n_bytes} bytes, got {error.strerror}") from error
-            if digest(data) != entry.sha256:
-                raise DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, got {digest(data)}")
+        path, entry = self._item(manifest.stage, manifest.key) / name, manifest.files[name]
+        with self._damage(manifest.stage, manifest.key):
+            _check_length(path, entry)
+            data = path.read_bytes()
+            _compare(path, f"SHA-256 {entry.sha256}", f"SHA-256 {digest(data)}")
         return data
 
     def discard(self, stage: str, key: str) -> None:
-        """Forget an item, so that it is computed again; items that depend on its content stay."""
+        """Remove an item, so that it is computed again; items that depend on its content stay."""
         folder = self._item(stage, key)
         with disk.explained(f"discarding {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
             self._clear(folder)
 
-    def remove(self, stage: str, key: str) -> None:
-        """Remove an item and its folder. The caller must have locked the store; see :meth:`Store.lock_all`."""
-        folder = self._item(stage, key)
-        with disk.explained(f"removing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
-            self._clear(folder)
-            disk.rmdir(folder)
-            disk.fsync(folder.parent)
-
     @staticmethod
     def _clear(folder: Path) -> None:
-        """Empty an item's folder, manifest first, so that a partly discarded item does not exist either."""
+        """Remove an item's folder, its manifest first, so that a partly removed item does not exist either."""
         if folder.is_dir():
-            for path in sorted(folder.iterdir(), key=lambda path: (path.name != MANIFEST, path.name)):
+            for path in sorted(folder.iterdir(), key=lambda path: path.name != MANIFEST):
                 remove = disk.rmdir if _is_folder(path) else disk.unlink
                 remove(path)
                 disk.fsync(folder)
+            disk.rmdir(folder)
+            disk.fsync(folder.parent)
 
     def stages(self) -> list[str]:
         """Return the names of the stages that have items."""
@@ -195,9 +171,10 @@ class Items:
 
     @contextlib.contextmanager
     def _damage(self, stage: str, key: str) -> Iterator[None]:
-        """Add the item and advice to the message of any damage."""
+        """Explain a disk that can't be read, and add the item and advice to the message of any damage."""
         try:
-            yield
+            with disk.explained(f"reading {stage} {key[:12]}", self.root):
+                yield
         except DamagedArtifact as damage:
             message = f"{damage}. Item {stage} {key[:12]} is damaged. {self.computed_again()}"
             raise DamagedArtifact(message, stage=stage, key=key) from damage
@@ -223,10 +200,18 @@ class Items:
                 return []
 
 
-def _other_length(path: Path, entry: FileEntry) -> str | None:
-    """Describe a file that does not have the expected length; None if it does."""
-    expected, found = f"{entry.n_bytes} bytes", f"{path.stat().st_size} bytes" if path.is_file() else "no file"
-    return None if found == expected else f"{path}: expected {expected}, got {found}"
+def _check_length(path: Path, entry: FileEntry) -> None:
+    _compare(path, f"{entry.n_bytes} bytes", f"{path.stat().st_size} bytes" if path.is_file() else "no file")
+
+
+def _check_content(path: Path, entry: FileEntry) -> None:
+    _check_length(path, entry)
+    _compare(path, f"SHA-256 {entry.sha256}", f"SHA-256 {disk.digest_of(path)}")
+
+
+def _compare(path: Path, expected: str, found: str) -> None:
+    if found != expected:
+        raise DamagedArtifact(f"{path}: expected {expected}, got {found}")
 
 
 def _is_folder(path: Path) -> bool:

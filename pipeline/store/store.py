@@ -28,12 +28,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
+from pydantic import TypeAdapter, ValidationError
+
+from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.locks import holders_of
 from pipeline.store import disk
-from pipeline.store.encoding import Json, decode_document, decode_json, encode_document, encode_json
-from pipeline.store.items import KEY, NAME, Items, check_name
+from pipeline.store.encoding import Json, decode_document, encode_document
+from pipeline.store.items import Items, check_name
 from pipeline.store.manifest import are_file_names
+from pipeline.text import printable
 
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
@@ -76,27 +79,22 @@ class Store(Items):
     def open(cls, root: Path, *, create: bool) -> Store:
         """Open a store, or create one in a new or empty folder."""
         root = disk.resolved(root)
+        path = root / "store.json"
         with disk.explained("opening the store", root):
-            if not (root / "store.json").exists():
+            if not path.exists():
                 if not create:
                     advice = "Name the folder of an existing store, or run a study to create one."
                     raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
                 cls._create(root)
-            path = root / "store.json"
             try:
-                decode_document(disk.read_document(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
+                decode_document(disk.read(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
             except DamagedArtifact as damage:
                 raise DamagedArtifact(f"{damage}. Copy store.json from any other store: all are alike.") from None
         return cls(root)
 
     @classmethod
     def _create(cls, root: Path) -> None:
-        existing = next(path for path in (root, *root.parents) if path.exists())
-        if not existing.is_dir():
-            raise PuddleError(f"{root}: expected a folder for the store; {existing} is a file. Choose another folder.")
-        with contextlib.suppress(OSError):  # its creator may have died before flushing it, or we may not be allowed to
-            disk.fsync(existing.parent)
-        disk.make_folders(existing, root)
+        disk.make_folders(next(path for path in (root, *root.parents) if path.exists()), root)
         own = {"commit.lock", "use.lock", "store.json", disk.temporary(root / "store.json").name}
         strangers = sorted({path.name for path in root.iterdir()} - own)
         if strangers and not (root / "store.json").exists():  # in this order: another process may be making it
@@ -105,8 +103,7 @@ class Store(Items):
                 f"{' and more' if len(strangers) > 3 else ''}. Choose another folder."
             )
         with disk.locked(root / "commit.lock"):
-            if not (root / "store.json").exists():
-                disk.place(root / "store.json", encode_document({}, schema=STORE_SCHEMA, version=STORE_VERSION))
+            disk.place(root / "store.json", encode_document({}, schema=STORE_SCHEMA, version=STORE_VERSION))
 
     def verify(
         self, study: str | None = None, *, checked: Callable[[int], None] = lambda n_bytes: None
@@ -134,21 +131,15 @@ class Store(Items):
         """Return the total length of what :meth:`verify` reads [bytes]; the MLflow mirror is not part of it."""
         return sum(disk.size_bytes(path) for path, _ in self._checks(study))
 
-    def _checks(self, study: str | None) -> list[tuple[Path, Callable[[], object]]]:
-        """List the paths to verify, each with its check."""
-        items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
-        if study is not None:
-            record = self.read_study(study)
-            listed = {(item.stage, item.key) for item in record.items} if record else set()
-            items = [item for item in items if item in listed]
-        return [
-            *((self._item(*item), functools.partial(self._verified, *item)) for item in items),
-            *(
-                (self.study_path(name), functools.partial(self.read_study, name))
-                for name in self.studies()
-                if study in (None, name)
-            ),
-        ]
+    def _checks(self, study: str | None) -> Iterator[tuple[Path, Callable[[], object]]]:
+        """Yield the paths to verify, each with its check."""
+        record = self.read_study(study) if study is not None else None
+        listed = {(item.stage, item.key) for item in record.items} if record else set()
+        for item in ((stage, key) for stage in self.stages() for key in self.keys(stage)):
+            if study is None or item in listed:
+                yield self._item(*item), functools.partial(self.verified, *item)
+        for name in self.studies() if study is None else [study]:
+            yield self.study_path(name), functools.partial(self.read_study, name)
 
     def size_bytes(self) -> int:
         """Return the total length of all files [bytes]."""
@@ -180,24 +171,18 @@ class Store(Items):
         path = self.study_path(name) / "study.json"
         with disk.explained(f"reading study {name}", self.root):
             try:
-                data = disk.read_document(path)
+                data = disk.read(path)
             except FileNotFoundError:
                 return None
-            except IsADirectoryError:
-                raise DamagedArtifact(f"{path}: expected a study's record, got a folder. {WRITTEN_ANEW}") from None
         try:
             body = decode_document(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
-            items = tuple(StudyItem(*item) for item in body["items"])
-            failed = tuple(FailedChain(*chain) for chain in body.get("failed", ()))  # early stores have none
-            if body["name"] != name or not isinstance(body["settings"], dict) or not all(map(_is_item, items)):
-                raise DamagedArtifact(f"got those of study {body['name']}, or other values")
-            return StudyRecord(name, body["settings"], items, failed, str(body.get("source", "")))
-        except OtherVersion:
-            raise
-        except (PuddleError, KeyError, TypeError) as error:  # damaged, or some other document in its place
-            problem = str(error).removeprefix(f"{path}: ").removesuffix(".")
+            record = _RECORD.validate_python(body)
+            if record.name != name:
+                raise DamagedArtifact(f"{path}: it is that of study {record.name}")
+            return record
+        except (DamagedArtifact, ValidationError) as error:
             raise DamagedArtifact(
-                f"{path}: expected a study's name, settings and items: {problem}. {WRITTEN_ANEW}"
+                f"{path}: expected a study's name, settings and items: {error}. {WRITTEN_ANEW}"
             ) from None
 
     def studies(self, *, recorded: bool = True) -> list[str]:
@@ -212,20 +197,19 @@ class Store(Items):
         The store is locked first, so that `puddle gc` never sees the folder of a study that has only just begun.
         """
         folder = self.study_path(name)
-        with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
-            self._share(held)
-            disk.make_folders(self.root, folder)
-            descriptor = disk.try_lock(folder / "driver.lock")
-            if descriptor is None:
-                raise PuddleError(
-                    f"study {name} is driven by {self.driver_of(name) or 'a process that has just ended'}. "
-                    f"Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
-                )
-            held.callback(os.close, descriptor)
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, _signature())
-            until_the_end = held.pop_all()
-        with until_the_end:
+        with contextlib.ExitStack() as held:
+            with disk.explained(f"locking study {name}", self.root):
+                self._share(held)
+                disk.make_folders(self.root, folder)
+                descriptor = disk.try_lock(folder / "driver.lock")
+                if descriptor is None:
+                    raise PuddleError(
+                        f"study {name} is driven by {self.driver_of(name) or 'a process that has just ended'}. "
+                        f"Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
+                    )
+                held.callback(os.close, descriptor)
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, _signature())
             yield
 
     @contextlib.contextmanager
@@ -235,11 +219,9 @@ class Store(Items):
         Nothing is written, so that a store on a read-only disk, or another user's, can be read too. A store without a
         lock file has never been driven on this machine, and nothing has been removed from it.
         """
-        with disk.explained("locking the store", self.root), contextlib.ExitStack() as held:
-            with contextlib.suppress(FileNotFoundError):
+        with contextlib.ExitStack() as held:
+            with disk.explained("locking the store", self.root), contextlib.suppress(FileNotFoundError):
                 self._share(held, only_ask=True)
-            until_the_end = held.pop_all()
-        with until_the_end:
             yield
 
     def _share(self, held: contextlib.ExitStack, *, only_ask: bool = False) -> None:
@@ -275,14 +257,10 @@ class Store(Items):
                 descriptor = disk.try_lock(path, kind=fcntl.LOCK_SH, only_ask=True)
             except FileNotFoundError:
                 return None
-            if descriptor is not None:
-                os.close(descriptor)
-                return None
-            try:
-                who = decode_json(disk.read_document(path), str(path))
-                return f"process {who['pid']} on {who['host']} since {who['started']} ({who['command']})"
-            except (PuddleError, KeyError, TypeError):  # it has the lock but has not signed it yet
-                return "another process, which has only just started"
+            if descriptor is None:
+                return path.read_text() or "another process, which has only just started"
+            os.close(descriptor)
+            return None
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
         """Write a study's report to its folder, replacing earlier files, and return the folder.
@@ -297,10 +275,9 @@ class Store(Items):
             disk.make_folders(self.root, folder)
             for file, data in sorted(files.items()):
                 disk.place(folder / file, data)
-            others = sorted(path for path in folder.iterdir() if path.name not in files and _is_file(path))
+            others = {path for path in folder.iterdir() if path.name not in files and path.is_file()}
             reported = self._reported() if others else set()
-            names = {file for file, _ in reported}
-            for path in (path for path in others if path.name in names):
+            for path in others:
                 if (path.name, disk.digest_of(path)) in reported:
                     disk.unlink(path)
                     disk.fsync(folder)
@@ -318,11 +295,10 @@ class Store(Items):
     def temporary(self) -> list[Path]:
         """Return the temporary files, known by their names, that a killed process left in the folders of studies."""
         reported = sorted({file for file, _ in self._reported()})
-        found: list[Path] = []
-        for name in self._names("studies"):
-            files = [self.study_path(name) / "study.json", *(self.export_path(name) / file for file in reported)]
-            found += [path for path in map(disk.temporary, files) if _is_file(path)]
-        return found
+        names = self._names("studies")
+        files = [self.study_path(name) / "study.json" for name in names]
+        files += [self.export_path(name) / file for name in names for file in reported]
+        return [path for path in map(disk.temporary, files) if path.is_file()]
 
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` creates."""
@@ -333,16 +309,9 @@ class Store(Items):
         return self.root / "studies" / check_name(name, "study")
 
 
-def _is_file(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink()
-
-
-def _is_item(item: StudyItem) -> bool:
-    words = all(isinstance(word, str) for word in item)
-    return words and bool(NAME.fullmatch(item.stage) and KEY.fullmatch(item.key))
+_RECORD = TypeAdapter(StudyRecord)
 
 
 def _signature() -> bytes:
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    command = " ".join(sys.argv).encode(errors="backslashreplace").decode()  # a path need not be valid text
-    return encode_json({"pid": os.getpid(), "host": platform.node(), "started": started, "command": command})
+    return printable(f"process {os.getpid()} on {platform.node()} since {started} ({' '.join(sys.argv)})").encode()

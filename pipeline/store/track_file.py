@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
@@ -35,60 +34,39 @@ def read_track_columns(content: bytes, name: str) -> TrackColumns:
     """
     if len(content) > _MOST_BYTES:
         raise PuddleError(f"{name}: expected at most {_MOST_BYTES:,} bytes, got {len(content):,}. Split the throws")
-    columns = _of_parquet(content, name) if content[:4] == _PARQUET else _of_csv(content, name)
-    if not columns or not len(next(iter(columns.values()))):
-        raise PuddleError(f"{name}: expected a row for each frame, got none")
-    return columns
-
-
-def _of_parquet(content: bytes, name: str) -> dict[str, Float64]:
+    kind = "Parquet" if content[:4] == _PARQUET else "CSV"
     try:
-        table = pq.read_table(pa.BufferReader(content))
+        table = pq.read_table(pa.BufferReader(content)) if kind == "Parquet" else _read_csv(content, name)
+        known = [column for column in table.column_names if column in _KNOWN]
+        if repeated := sorted({column for column in known if known.count(column) > 1}):
+            raise PuddleError(f"{name}: the column {repeated[0]} appears twice, expected each once")
+        columns = {column: table[column].cast(pa.float64()).to_numpy() for column in known}
     except (pa.ArrowException, OSError) as error:
-        raise PuddleError(f"{name}: cannot be read as Parquet: {error}. Expected CSV or Parquet") from None
-    known = [column for column in table.column_names if column in _KNOWN]
-    if len(set(known)) < len(known):
-        raise PuddleError(f"{name}: a column appears twice in {', '.join(known)}, expected each once")
-    try:
-        return {column: table[column].cast(pa.float64()).to_numpy() for column in known}
-    except pa.ArrowException as error:
-        raise PuddleError(f"{name}: expected numbers in {', '.join(known)}: {error}") from None
+        raise PuddleError(f"{name}: cannot be read as {kind}: {error}. Expected CSV (UTF-8) or Parquet") from None
+    if not len(table):
+        raise PuddleError(f"{name}: expected a row for each frame, got none")
+    if not columns:
+        raise PuddleError(
+            f"{name}: expected columns named {', '.join(TRACK_COLUMNS)}, got {', '.join(table.column_names)[:80]}"
+        )
+    return columns
 
 
 _KNOWN = (*TRACK_COLUMNS, *DEVIATION_COLUMNS, *BAR_COLUMNS)
 
 
-def _of_csv(content: bytes, name: str) -> dict[str, Float64]:
-    try:
-        lines = list(csv.reader(io.StringIO(content.decode("utf-8-sig"))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise PuddleError(f"{name}: cannot be read: {error}. Expected CSV (UTF-8) or Parquet") from None
-    heading = [cell.strip() for cell in lines[0]] if lines else []
-    if repeated := sorted({column for column in heading if column in _KNOWN and heading.count(column) > 1}):
-        raise PuddleError(f"{name}, line 1: the column {repeated[0]} appears twice, expected each once")
-    at = {column: heading.index(column) for column in _KNOWN if column in heading}
-    if heading and not at:
-        raise PuddleError(
-            f"{name}, line 1: expected names of columns, {', '.join(TRACK_COLUMNS)}, separated by commas, got "
-            f"{','.join(heading)[:80]}"
-        )
-    rows = [(number, line) for number, line in enumerate(lines[1:], 2) if any(cell.strip() for cell in line)]
-    columns = {column: np.empty(len(rows)) for column in at}
-    for row, (number, line) in enumerate(rows):
-        if len(line) != len(heading):
-            raise PuddleError(
-                f"{name}, line {number}: expected {len(heading)} cells as in the first line, got {len(line)}"
-            )
-        for column, index in at.items():
-            columns[column][row] = _number(line[index], f"{name}, line {number}: {column}")
-    return columns
-
-
-def _number(cell: str, where: str) -> float:
-    try:
-        return float(cell) if cell.strip() else float("nan")  # the check of the tracks names throw and frame
-    except ValueError:
-        raise PuddleError(f"{where}: expected a number, got {cell.strip()!r}") from None
+def _read_csv(content: bytes, name: str) -> pa.Table:
+    """Read CSV; the columns that count are numbers, and a message names the cell that is none."""
+    if not content.strip():
+        raise PuddleError(f"{name}: expected a row for each frame, got none")
+    heading = content.partition(b"\n")[0].removeprefix(b"\xef\xbb\xbf").decode(errors="replace").split(",")
+    numbers = {column: pa.float64() for column in heading if column.strip() in _KNOWN}
+    table = pa.csv.read_csv(
+        pa.BufferReader(content),
+        pa.csv.ReadOptions(use_threads=False),  # a message then names the row
+        convert_options=pa.csv.ConvertOptions(column_types=numbers),
+    )
+    return table.rename_columns([column.strip() for column in table.column_names])
 
 
 def track_table(columns: TrackColumns, name: str) -> TrackTable:

@@ -44,6 +44,8 @@ def test_damage_is_named_and_alone_is_recomputed(torture, full, pristine, new_fo
         root = new_folder() / "store"
         shutil.copytree(pristine, root)
         files = sorted(path for path in root.glob("items/*/*/*/*") if "report" not in path.parts)
+        if kind == "a flipped bit":  # of a manifest, it may lie in what no digest covers, such as the seconds
+            files = [path for path in files if path.name != "manifest.json"]
         path = files[int(rng.integers(len(files)))]
         stage, key = path.parts[-4], path.parent.name
         if kind == "gone":

@@ -282,22 +282,6 @@ def test_reports_are_exported_in_place_of_earlier_ones(store: Store) -> None:
     assert set(tree(folder)) == {"index.html", *films, *mine}
 
 
-def test_what_is_on_its_way_is_known_by_its_name(store: Store) -> None:
-    """What else a person puts there, however it is called, is theirs."""
-    commit_report(store, {"index.html": b"page"})
-    store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
-    folder = store.export("laptop", {"index.html": b"page"})
-    ours = [folder.parent / ".study.json.tmp", folder / ".index.html.tmp"]
-    theirs = [folder.parent / ".index.html.tmp", folder / ".notes.tmp", folder / "old" / ".index.html.tmp"]
-    (folder / "old").mkdir()
-    for path in (*ours, *theirs):
-        path.write_bytes(b"half")
-    assert store.temporary() == ours
-    ours[1].unlink()
-    ours[1].mkdir()
-    assert store.temporary() == ours[:1]
-
-
 def test_names_of_exported_files_are_checked(store: Store) -> None:
     for name in ("../study.json", "a/b.html", ".x"):
         with pytest.raises(ValueError, match="expected file names like"):

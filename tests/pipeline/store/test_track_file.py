@@ -36,17 +36,17 @@ def test_deviations_and_bars_may_be_columns() -> None:
     [
         (b"", "a.csv: expected a row for each frame, got none"),
         (b"throw,time,x,y,angle\n", "a.csv: expected a row for each frame, got none"),
-        (b"Throw;Time;X\n1;0;0\n", "a.csv, line 1: expected names of columns, throw, time, x, .* got Throw;Time;X"),
+        (b"Throw;Time;X\n1;0;0\n", "a.csv: expected columns named throw, time, x, .* got Throw;Time;X"),
         (b"throw,time,x,y\n1,0,0,0\n", "a.csv: expected the columns .*, got none named angle: name the columns so"),
-        (b"throw,time,x,x,y,angle\n1,0,0,0,0,0\n", "a.csv, line 1: the column x appears twice"),
-        (b"throw,time,x,y,angle\n1,0,0,zero,0\n", "a.csv, line 2: y: expected a number, got 'zero'"),
-        (b"throw,time,x,y,angle\n1,0,0,0\n", "a.csv, line 2: expected 5 cells as in the first line, got 4"),
+        (b"throw,time,x,x,y,angle\n1,0,0,0,0,0\n", "a.csv: the column x appears twice"),
+        (b"throw,time,x,y,angle\n1,0,0,zero,0\n", "a.csv: .*column #3: Row #2: .*'zero'"),
+        (b"throw,time,x,y,angle\n1,0,0,0\n", "a.csv: .*Row #2: Expected 5 columns, got 4"),
         (b"throw,time,x,y,angle\n1.5,0,0,0,0\n", "a.csv: row 1: throw is 1.5, expected a whole number"),
         (
             b"throw,time,x,y,angle,x_sd\n1,0,0,0,0,1\n",
             "a.csv: has x_sd but no y_sd, angle_sd: expected all three or none",
         ),
-        (b"\xff\xfe\x00", "a.csv: cannot be read: .* Expected CSV .UTF-8. or Parquet"),
+        (b"\xff\xfe\x00", "a.csv: cannot be read as CSV: .* Expected CSV .UTF-8. or Parquet"),
         (b"PAR1 and no more", "a.csv: cannot be read as Parquet"),
     ],
 )
