@@ -70,13 +70,6 @@ def test_gaits_are_apart_where_a_polygon_clipper_finds_no_common_area_at_any_ins
         assert apart == (overlap == 0) or overlap < 1e-12
 
 
-def test_a_limit_of_joints_allows_slower_gaits_alone() -> None:
-    designs = random_designs(200, np.random.default_rng(2))
-    allowed = Morphology(max_joint_speed=1.0).allows(designs)
-    np.testing.assert_array_equal(allowed, joint_speed(designs).max(axis=1) <= 1.0)
-    assert 0 < allowed.sum() < 200
-
-
 def upright_columns(gap: float) -> Designs:
     """Six upright links of 1 m by 1 m, from left to right, the third one a gap right of the root's right edge [m].
 
@@ -131,3 +124,6 @@ def test_the_speed_of_a_joint_is_the_greatest_slope_of_its_target() -> None:
     turns = designs.frequency > 0.05  # the others do not finish a period
     expected = np.where(designs.motor_on, slope, 0.0)
     np.testing.assert_allclose(joint_speed(designs)[turns], expected[turns], rtol=1e-4)
+    allowed = Morphology(max_joint_speed=1.0).allows(designs)
+    np.testing.assert_array_equal(allowed, joint_speed(designs).max(axis=1) <= 1.0)
+    assert 0 < allowed.sum() < 20

@@ -48,6 +48,14 @@ def run(
     return population, {name: np.concatenate([history[name] for history in histories]) for name in histories[0]}
 
 
+def assert_same(one: tuple[Population, History], other: tuple[Population, History]) -> None:
+    for (name, array), expected in zip(one[0].arrays().items(), other[0].arrays().values(), strict=True):
+        assert array.tobytes() == expected.tobytes(), name
+    assert list(one[1]) == list(other[1])
+    for name, column in one[1].items():
+        assert column.tobytes() == other[1][name].tobytes() and column.dtype == other[1][name].dtype, name
+
+
 @pytest.fixture(scope="module")
 def uncut() -> tuple[Population, History]:
     return run([N_GENERATIONS])
@@ -55,13 +63,7 @@ def uncut() -> tuple[Population, History]:
 
 @pytest.mark.parametrize("cuts", [[1, N_GENERATIONS], [10, 11, N_GENERATIONS], list(range(1, N_GENERATIONS + 1))])
 def test_a_trial_cut_anywhere_is_the_uncut_one(uncut: tuple[Population, History], cuts: list[int]) -> None:
-    population, history = run(cuts)
-    for (name, array), (_, expected) in zip(population.arrays().items(), uncut[0].arrays().items(), strict=True):
-        assert array.tobytes() == expected.tobytes(), name
-    assert list(history) == list(uncut[1])
-    for name, column in history.items():
-        assert column.tobytes() == uncut[1][name].tobytes(), name
-        assert column.dtype == uncut[1][name].dtype, name
+    assert_same(run(cuts), uncut)
 
 
 def test_evolution_finds_longer_links(uncut: tuple[Population, History]) -> None:
@@ -124,14 +126,9 @@ def test_batched_trials_equal_each_alone() -> None:
     trials = [Trial(of_another), Trial(of_trial, started), Trial(of_trial, body=body)]
     together = evolve(trials, score, first_generation=3, n_generations=5, afpo=AFPO)
     assert n_at_once == [3 * AFPO.population_size] * 5
-    for trial, (population, history) in zip(trials, together, strict=True):
-        ((alone, of_one),) = evolve([trial], long_and_fast, first_generation=3, n_generations=5, afpo=AFPO)
-        for (name, array), expected in zip(population.arrays().items(), alone.arrays().values(), strict=True):
-            assert array.tobytes() == expected.tobytes(), name
-        assert list(history) == list(of_one)
-        for name, column in history.items():
-            assert column.tobytes() == of_one[name].tobytes(), name
-            assert column.dtype == of_one[name].dtype, name
+    for trial, batched in zip(trials, together, strict=True):
+        (alone,) = evolve([trial], long_and_fast, first_generation=3, n_generations=5, afpo=AFPO)
+        assert_same(batched, alone)
 
 
 def test_a_frozen_body_stays_through_a_trial() -> None:

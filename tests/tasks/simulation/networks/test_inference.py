@@ -1,4 +1,4 @@
-"""Networks on a CPU: their sums' order and rounding, torch's results, and rows that know nothing of others."""
+"""Networks on a CPU: their sums' order and rounding, torch's results, and what is not finite. See test_ensemble.py."""
 
 from fractions import Fraction
 from itertools import pairwise
@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tasks.simulation.networks.inference import PackedNetworks
-from tasks.simulation.networks.tiles import TILE_ROWS, TILE_UNITS
+from tasks.simulation.networks.tiles import TILE_UNITS
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="the ensemble uses torch then")
 
@@ -75,17 +75,6 @@ def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input(width):
                 ]
             h = [max(s, np.float32(0)) for s in sums] if i < len(weights) - 1 else sums
         assert (got[row] == h).all()
-
-
-@pytest.mark.parametrize("width", [5, TILE_UNITS, 48, 64])
-def test_a_row_does_not_depend_on_the_rows_beside_it(width):
-    network = packed(2, width)
-    x = rows(500)
-    whole = network.forward(x)
-    rng = np.random.default_rng()
-    for n_rows in (0, 1, TILE_ROWS - 1, TILE_ROWS, TILE_ROWS + 1, *rng.integers(1, 500, 5)):
-        chosen = rng.permutation(500)[:n_rows]
-        assert (network.forward(x[:, chosen]) == whole[:, chosen]).all()
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf])
