@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tasks.design import Designs, Morphology, kinematic_trees, random_designs
+from tasks.design import Designs, Morphology, random_designs
 from tasks.design.morphology import separation
 from tasks.simulation import simulate
 from tasks.world import DryLand, Physics, TrueSlush
@@ -58,28 +58,6 @@ def gaps(designs: Designs, state: np.ndarray, *, joined: bool) -> np.ndarray:
             gap = separation(links[:, :, i].reshape(-1, 6), links[:, :, j].reshape(-1, 6)).reshape(state.shape[:2])
             found.append(np.where((designs.parent[:, j] == i)[:, None] == joined, gap, np.nan))
     return np.stack(found, axis=-1)
-
-
-def test_where_every_joint_is_actuated_nothing_is_fused() -> None:
-    designs = random_designs(12, np.random.default_rng(52))
-    designs = replace(designs, motor_on=np.ones_like(designs.motor_on))
-    for environment in (DryLand(0.5), TrueSlush(2.0)):
-        one, other = (trace_of(designs, environment, 240, Physics(passive_joints=p)) for p in ("swing", "locked"))
-        np.testing.assert_array_equal(one, other)
-
-
-def test_a_locked_robot_falls_as_one(buildable: Designs) -> None:
-    n_steps = 60
-    trace = trace_of(locked(buildable), DryLand(100.0), n_steps, BUILT)
-    n = np.arange(1, n_steps + 1)[:, None]
-    trees = kinematic_trees(buildable, density=1.0)
-    assert np.abs(trace[..., OMEGA]).max() == 0
-    assert np.ptp(trace[..., ANGLE], axis=1).max() == 0
-    # Symplectic Euler: v = -g dt n, y = y0 - g dt² n (n + 1) / 2; a rounding of up to 15 m a step.
-    np.testing.assert_allclose(trace[..., VY], np.broadcast_to(-G * DT * n, trace.shape[:3]), rtol=n_steps * EPS32)
-    fallen = -G * DT**2 * n * (n + 1) / 2
-    np.testing.assert_allclose(trace[..., Y], trees.y[:, None] + fallen, rtol=0, atol=2 * n_steps * EPS32 * 15)
-    np.testing.assert_allclose(trace[..., X], np.broadcast_to(trees.x[:, None], trace.shape[:3]), atol=2 * EPS32 * 15)
 
 
 def test_a_fused_body_floats_where_its_weight_and_its_moments_balance(buildable: Designs) -> None:
@@ -154,16 +132,3 @@ def test_joined_links_do_not_collide() -> None:
         assert np.nanmin(gaps(design, without, joined=False)) > SKINS
         np.testing.assert_array_equal(with_, without)
         assert np.ptp(with_[..., ANGLE], axis=1).max() > 0.1  # they do move
-
-
-def test_motors_between_fused_bodies_do_not_move_the_centre_of_mass(buildable: Designs) -> None:
-    n_steps = 120
-    designs = replace(buildable, frequency=np.full(16, 0.3))
-    physics = BUILT.model_copy(update={"gravity": 0.0})
-    trace = trace_of(designs, DryLand(100.0), n_steps, physics)
-    centre = trace[..., X : Y + 1].mean(axis=2)
-    # Impulses on two bodies are equal and opposite up to the rounding of momenta within 6 kg · 30 m/s, eight sweeps a
-    # step. Their sum is a random process of that many steps, which acts over the remaining time.
-    drift = np.sqrt(n_steps * 8) * EPS32 * 30 * n_steps * DT
-    assert np.abs(centre - centre[:, :1]).max() < 10 * drift
-    assert np.abs(trace[..., X] - trace[:, :1, :, X]).max() > 0.2  # the links do move

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from links_in_box2d import ReferenceFreeLinks
 from pydantic import ValidationError
 
 from tasks.residual import Throws, Transitions, initial_states, simulate_throws
@@ -46,17 +45,6 @@ def test_log_uniform_throws_scale_all_velocities_of_a_throw_alike():
     exponent = np.log10(ratio[:, 0])
     assert -2 - 1e-6 <= exponent.min() < -1.99 and -0.01 < exponent.max() <= 1e-6
     assert exponent.mean() == pytest.approx(-1, abs=5 * (2 / 12**0.5) / 5000**0.5)
-
-
-def test_residual_is_the_difference_of_two_separate_one_step_simulations(transitions):
-    rng = np.random.default_rng(1)
-    for i in rng.choice(len(transitions), 60, replace=False):
-        x, a = transitions.state[i : i + 1], transitions.length_scale[i : i + 1]
-        in_slush = ReferenceFreeLinks(a, PHYSICS).step(x, SLUSH)[0]
-        on_dry_land = ReferenceFreeLinks(a, PHYSICS).step(x, None)[0]
-        assert (transitions.next_in_slush[i] == in_slush).all()
-        assert (transitions.next_on_dry_land[i] == on_dry_land).all()
-        assert (transitions.residual[i] == in_slush - on_dry_land).all()
 
 
 def test_residual_is_the_slush_s_velocity_change_and_its_time_integral(transitions):

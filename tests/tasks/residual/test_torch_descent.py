@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+import tasks.residual.training
 from tasks.residual import Architecture, Training
 from tasks.residual.network import initial_weights
-from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices, weight_updates
+from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
 
 ARCHITECTURE = Architecture(hidden_layers=2, width=16)
 
@@ -64,9 +65,16 @@ def test_focal_loss_by_hand():
     true = torch.zeros(3, 6)
     # ‖·‖² / 6: 0, 0.09 / 6 = 0.015, 9 / 6 = 1.5
     focal = [0.0, 2 * (1 - np.exp(-10 * 0.015)) ** 3 * 0.015, 2 * (1 - np.exp(-10 * 1.5)) ** 3 * 1.5]
-    training = Training(focal_alpha=2.0, focal_s=10.0, focal_gamma=3.0)
-    assert float(mean_loss(training, predicted, true)) == pytest.approx(sum(focal) / 3, rel=1e-6)
-    assert float(mean_loss(Training(loss="mse"), predicted, true)) == pytest.approx((0.015 + 1.5) / 3, rel=1e-6)
+    focal_training, mse = Training(focal_alpha=2.0, focal_s=10.0, focal_gamma=3.0), Training(loss="mse")
+    halved = torch.cat([true, torch.full((3, 6), 0.5)], dim=1)
+    for training, targets, expected in (
+        (focal_training, true, sum(focal) / 3),
+        (mse, true, (0.015 + 1.5) / 3),
+        (mse, halved, (0.015 + 1.5) / 6),
+    ):
+        assert float(mean_loss(training, predicted, targets)) == pytest.approx(expected, rel=1e-6)
+        ours = tasks.residual.training.mean_loss(training, predicted.numpy(), targets.numpy())
+        assert ours == pytest.approx(expected, rel=1e-6)
 
 
 def test_it_learns_and_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_was():
@@ -95,23 +103,3 @@ def test_a_gpu_gives_the_same_bytes_twice():
     once.advance(20), again.advance(20)
     for name, array in once.weights().items():
         assert np.isfinite(array).all() and array.tobytes() == again.weights()[name].tobytes()
-
-
-def test_updates_are_those_of_adamw():
-    """Loshchilov and Hutter, Decoupled Weight Decay Regularization, algorithm 2."""
-    rng = np.random.default_rng(1)
-    parameters = [torch.tensor(rng.normal(size=shape), dtype=torch.float32) for shape in ((2, 3), (4,))]
-    update = weight_updates(parameters, weight_decay=0.1)
-    expected = [parameter.double().numpy() for parameter in parameters]
-    m, v = ([np.zeros_like(array) for array in expected] for _ in range(2))
-    for t, rate in enumerate((0.1, 0.02, 0.3), start=1):
-        for k, parameter in enumerate(parameters):
-            parameter.grad = torch.tensor(rng.normal(size=parameter.shape), dtype=torch.float32)
-            gradient = parameter.grad.double().numpy()
-            m[k] = 0.9 * m[k] + 0.1 * gradient
-            v[k] = 0.999 * v[k] + 0.001 * gradient**2
-            step = m[k] / (1 - 0.9**t) / (np.sqrt(v[k] / (1 - 0.999**t)) + 1e-8)
-            expected[k] = expected[k] - rate * (0.1 * expected[k] + step)
-        update(rate)
-    for parameter, array in zip(parameters, expected, strict=True):
-        np.testing.assert_allclose(parameter.numpy(), array, atol=2e-6)  # some roundings of numbers below 4

@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -14,7 +12,7 @@ from tasks.residual import (
     simulate_throws,
 )
 from tasks.residual.error_report import LOW_SPEED
-from tasks.residual.training import TrainingDiverged, mean_loss, precision_weights, train_member
+from tasks.residual.training import TrainingDiverged, precision_weights, train_member
 from tasks.residual.validation import split_throws
 from tasks.world import Physics, Slush
 
@@ -45,18 +43,6 @@ def synthetic(n_throws, n_steps, residual_of, seed=0):
 def thrown():
     starts = initial_states(Throws(n_throws=40), np.random.default_rng(5))
     return simulate_throws(starts, 200, Slush(), Physics())
-
-
-def test_focal_loss_by_hand():
-    predicted = np.array([[0.0] * 6, [0.3, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 2.0]], np.float32)
-    true = np.zeros((3, 6), np.float32)
-    # ‖·‖² / 6: 0, 0.09 / 6 = 0.015, 9 / 6 = 1.5
-    focal = [0.0, 2 * (1 - math.exp(-10 * 0.015)) ** 3 * 0.015, 2 * (1 - math.exp(-10 * 1.5)) ** 3 * 1.5]
-    training = Training(focal_alpha=2.0, focal_s=10.0, focal_gamma=3.0)
-    assert mean_loss(training, predicted, true) == pytest.approx(sum(focal) / 3, rel=1e-6)
-    assert mean_loss(Training(loss="mse"), predicted, true) == pytest.approx((0.015 + 1.5) / 3, rel=1e-6)
-    halved = np.concatenate([true, np.full((3, 6), 0.5, np.float32)], axis=1)
-    assert mean_loss(Training(loss="mse"), predicted, halved) == pytest.approx((0.015 + 1.5) / 6, rel=1e-6)
 
 
 def test_members_differ_in_their_networks_and_share_their_hold_out(thrown):
