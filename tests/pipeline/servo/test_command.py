@@ -14,7 +14,6 @@ from command_line import call
 from typer.testing import CliRunner
 
 from pipeline.commands.app import app
-from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_files import calibration_yaml, timeline_json
 from pipeline.servo.play import PlayOptions, play_timeline
 from tasks.fabrication.timeline import Timeline, envelope
@@ -108,11 +107,6 @@ def test_mistakes(kit, tmp_path, capsys):
     assert sorted(path.name for path in kit.iterdir()) == ["calibration.yaml", "timeline.json"]
 
 
-def test_ports_are_listed(capsys):
-    assert call("servo", "play", "--list-ports") == 0
-    assert "port" in capsys.readouterr().out.lower()
-
-
 PLAY = """
 import sys, time
 from pathlib import Path
@@ -145,11 +139,10 @@ def started(kit: Path, fake, log: Path) -> subprocess.Popen:
     return process
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal(kit, tmp_path, plug, kind):
+def test_a_signal(kit, tmp_path, plug):
     fake, log = plug(), tmp_path / "run.csv"
     process = started(kit, fake, log)
-    process.send_signal(kind)
+    process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=120)
     fake.finish()
     assert process.returncode == 130, said
@@ -171,27 +164,3 @@ def test_killed(kit, tmp_path, plug):
     fake.finish()
     sent, received = sent_to(log, 0), fake.pulses(0)
     assert len(received) - len(sent) in (0, 1) and sent == received[: len(sent)]
-
-
-def test_unplugged_during_the_run(kit, tmp_path, plug, clock):
-    fake, log = plug(unplug_after=1200), tmp_path / "run.csv"
-    with pytest.raises(PuddleError) as raised:
-        played(kit, log, clock, port=fake.path)
-    said = str(raised.value)
-    assert "lost the port" in said and "NOT SWITCHED OFF" in said and str(log) in said
-    received = fake.pulses(3)
-    assert sent_to(log, 3)[: len(received)] == received
-
-
-def test_a_defect_does_not_hide_the_state_of_the_servos(kit, tmp_path, plug, clock):
-    class Defective(type(clock)):
-        def sleep(self, duration: float) -> None:
-            super().sleep(duration)
-            if 101.5 < self.time < 101.53:
-                raise ZeroDivisionError
-
-    lines: list[str] = []
-    chosen = PlayOptions(kit, log=tmp_path / "run.csv", port=plug().path, timeout=10.0)
-    with pytest.raises(ZeroDivisionError):
-        play_timeline(chosen, confirm=lambda question: True, say=lines.append, clock=Defective())
-    assert "Servos: switched off at neutral." in lines

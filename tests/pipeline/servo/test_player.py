@@ -106,7 +106,7 @@ def test_unplugged_at_random_bytes(plug, calibration, wanted, clock):
     whole = plug()
     player_of(whole, calibration, clock).follow(frames_of(wanted))
     whole.finish()
-    for n_bytes in rng.integers(1, whole.n_bytes, 60):
+    for n_bytes in rng.integers(1, whole.n_bytes, 20):
         fake = plug(unplug_after=int(n_bytes))
         player = player_of(fake, calibration, clock)
         with pytest.raises((PortLostError, ControllerError), match=fake.path):
@@ -123,7 +123,7 @@ def test_unplugged_at_random_bytes(plug, calibration, wanted, clock):
             assert any("NOT SWITCHED OFF" in entry.event for entry in player.log.entries)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(5))
 def test_invalid_answers_return_to_neutral(plug, calibration, wanted, clock, seed):
     rng = np.random.default_rng(seed)
     fake, n_honest = plug(), int(rng.integers(2, 180))
@@ -181,13 +181,24 @@ def test_a_failure_returns_to_neutral(plug, calibration, wanted, clock, cause, e
         assert [entry.event for entry in player.log.entries].count("home") == 1 == fake.commands.count((0xA2,))
 
 
-def test_controller_limits_narrower_than_the_calibration(plug, calibration, wanted, clock):
+@pytest.mark.parametrize(
+    ("limits", "said", "outcome"),
+    [
+        ((1450, 1550), r"to channel \d, it puts out 1[45]50 µs.*limits beyond", "switched off at neutral"),
+        ((1600, 1700), "puts out 1600 µs", "switched off at an unknown position: "),  # neutral was sent
+    ],
+)
+def test_limits_of_the_controller_narrower_than_the_calibration(
+    plug, calibration, wanted, clock, limits, said, outcome
+):
     fake = plug()
-    fake.channel_range = (4 * 1450, 4 * 1550)
-    with pytest.raises(ControllerError, match=r"to channel \d, it puts out 1[45]50 µs.*limits beyond"):
-        player_of(fake, calibration, clock).follow(frames_of(wanted))
+    fake.channel_range = tuple(4 * limit for limit in limits)
+    player = player_of(fake, calibration, clock)
+    with pytest.raises(ControllerError, match=said):
+        player.follow(frames_of(wanted))
     fake.finish()
     check_neutral_and_off(fake, calibration)
+    assert player.outcome.startswith(outcome)
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -201,8 +212,8 @@ def test_signals_return_to_neutral(plug, calibration, wanted, clock, kind):
     check_neutral_and_off(fake, calibration)
     away = abs(wanted[75, 0] - 1500.0)
     assert away > 100  # mid-swing, so the return takes several frames
-    back = fake.pulses(0)[50 + 76 :]
-    assert len(back) > away / (0.5 * 1800 * 0.02)
+    back = fake.pulses(0)[50 + 76 : -1]
+    assert np.abs(np.diff(back)).max() <= 0.5 * 1800 * 0.02 + 0.25  # at half of its speed
 
 
 def test_a_second_signal_switches_off_at_once(plug, calibration, wanted, clock):
@@ -224,17 +235,6 @@ def test_a_second_signal_switches_off_at_once(plug, calibration, wanted, clock):
         f"joint 4 (channel 3) {angles[1]:+.0f}°"
     )
     assert player.log.entries[-1].event == f"servos: {player.outcome}"
-
-
-def test_controller_limits_that_exclude_neutral(plug, calibration, wanted, clock):
-    fake = plug()
-    fake.channel_range = (4 * 1600, 4 * 1700)
-    player = player_of(fake, calibration, clock)
-    with pytest.raises(ControllerError, match="puts out 1600 µs"):
-        player.follow(frames_of(wanted))
-    fake.finish()
-    check_neutral_and_off(fake, calibration)  # these are the pulses sent, not those put out
-    assert player.outcome.startswith("switched off at an unknown position: ")
 
 
 def test_a_failed_return_is_not_reported_as_neutral(calibration, wanted, clock):
