@@ -178,6 +178,7 @@ def _local(n_workers: int) -> Iterator[_Ray]:
             with _joined(
                 "Ray did not start on this machine",
                 advice,
+                Path(_folder_of("pipeline")).parent,
                 address="local",
                 num_cpus=n_workers,
                 object_store_memory=OBJECT_STORE_BYTES,
@@ -214,7 +215,9 @@ def _existing(address: str) -> Iterator[_Ray]:
         except OSError as error:
             raise PuddleError(f"{what}: nothing answers there ({error})\n{advice}") from error
     packages = [_folder_of(package) for package in _PACKAGES]
-    with _joined(what, advice, address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages}):
+    with _joined(
+        what, advice, Path("/"), address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages}
+    ):
         import ray
 
         head = _server_of(ray.get_runtime_context().gcs_address, what, advice)
@@ -246,11 +249,12 @@ def _answering(server: tuple[str, int]) -> Callable[[], bool]:
 
 
 @contextlib.contextmanager
-def _joined(what: str, advice: str, **options: Any) -> Iterator[None]:
+def _joined(what: str, advice: str, folder: Path, **options: Any) -> Iterator[None]:
     """Connect to Ray within two minutes, and disconnect at the end; messages say what failed and give advice."""
     late = functools.partial(end_at_once, f"puddle: {what}: no answer for {_START_SECONDS:.0f} s\n{advice}", 2)
     stopped = "Stopped while Ray was starting. Committed results are safe: the same command resumes."
-    with _deadline(_START_SECONDS, late), ended_by_signals(stopped):  # Ray does not bear an exception here
+    # Ray lets workers import first from the folder that it is started in, and a user's may hold a tasks.py.
+    with contextlib.chdir(folder), _deadline(_START_SECONDS, late), ended_by_signals(stopped):  # no exceptions in Ray
         import ray
 
         try:

@@ -284,6 +284,21 @@ with ray_cluster(sys.argv[1]) as cluster:
     assert float(n_cores) == 2.0
 
 
+def test_workers_import_nothing_from_the_folder_where_a_user_works(tmp_path):
+    driver = """
+from pipeline.cluster import prepare_process, ray_cluster
+prepare_process()
+with ray_cluster(n_workers=1) as cluster:
+    cluster.submit(len, "three")
+    assert cluster.next_done()[1].result == 5
+"""
+    for name in ("tasks.py", "pipeline.py"):
+        (tmp_path / name).write_text("raise ImportError('this is a file of the user')")
+    words = [sys.executable, "-P", "-c", driver]  # without the working folder, as the command `puddle` starts
+    ran = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert ran.returncode == 0, ran.stderr
+
+
 DIES = """
 import sys, psutil
 from pipeline.cluster import prepare_process, ray_cluster
