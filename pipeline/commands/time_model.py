@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from pipeline.config.settings import Settings
+from pipeline.kernels import seconds_to_compile
 from pipeline.stages import STAGES, environments
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import StageRun, results_of
 from pipeline.workflow.stage import AnyStage, Chain, Results, Upstream
-from tasks.simulation.batch import seconds_to_compile
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
+from pipeline import kernels
 from pipeline.cluster import Cluster
 from pipeline.cluster.process import signals_unwind
 from pipeline.config.settings import Settings
@@ -19,7 +20,6 @@ from pipeline.workflow.progress import NOTHING, Progress, StudyTimes
 from pipeline.workflow.record import DrivenStudy, RecordingBar
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror, TracksRuns
-from tasks.simulation import batch
 from tasks.world import Physics
 
 
@@ -36,7 +36,7 @@ def drive(
     source: str = "",
     expected_seconds: Callable[[float], Mapping[str, float]] = lambda n_cores: {},
     limits: Limits = Limits(),  # noqa: B008 (frozen)
-    seconds_to_compile: Callable[[Physics], float] = batch.seconds_to_compile,
+    seconds_to_compile: Callable[[Physics], float] = kernels.seconds_to_compile,
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
 
@@ -75,10 +75,11 @@ def drive(
         def cluster() -> Cluster:
             if not opened:
                 progress.say("starting the cluster")
-                if seconds := seconds_to_compile(settings.physics):
-                    progress.say(f"compiling the kernels meanwhile, once on each machine: about {seconds:.0f} s")
-                    stack.enter_context(compiling(settings.physics))
-                opened.append(stack.enter_context(open_cluster()))
+                with contextlib.ExitStack() as beside:
+                    if seconds := seconds_to_compile(settings.physics):
+                        progress.say(f"compiling the kernels meanwhile, once on each machine: about {seconds:.0f} s")
+                        beside.enter_context(compiling(settings.physics))
+                    opened.append(stack.enter_context(open_cluster()))
             return opened[0]
 
         mirror = StudyMirror(settings, stages, store, tracker, background, source=source)

@@ -5,9 +5,12 @@ links collide are stepped one by one (tasks/simulation/rigid_bodies). It uses on
 core.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
-from tasks.compiled import uncompiled_kernels
+from tasks.compiled import KERNELS
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
 from tasks.simulation.controller import fastest
@@ -19,11 +22,10 @@ from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
 from tasks.world import Environment, Medium, Physics, Slush
 
 
-def seconds_to_compile(physics: Physics) -> float:
-    """Return about how long the kernels take that an evolution needs and this machine has not compiled yet [s]."""
+def needed_kernels(physics: Physics) -> list[Callable[..., Any]]:
+    """List the kernels that an evolution needs, of the modules imported so far."""
     unused = "trees" if _needs_rigid_bodies(physics) else "rigid_bodies"
-    left = uncompiled_kernels().items()
-    return float(sum(seconds for module, seconds in left if f".{unused}." not in module))
+    return [function for function in KERNELS if f".{unused}." not in function.__module__]
 
 
 def _is_built_in(medium: Medium | None) -> bool:

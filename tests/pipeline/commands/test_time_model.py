@@ -11,8 +11,6 @@ from pipeline.commands.time_model import StageForecast, expected_seconds, foreca
 from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from tasks.simulation import batch
-from tasks.world import Physics
 
 # Core-seconds of `puddle study --preset laptop --set 'grid.depths=[2,9]'` on an AMD EPYC, beside other work.
 LAPTOP = {"train": 327, "evolve": 378, "transfer": 45, "assess": 18, "analyse": 25}
@@ -67,13 +65,6 @@ def test_kernels_that_are_not_compiled_yet_take_time(monkeypatch):
     compiled = expected_seconds(settings, 2.0)
     monkeypatch.setattr(time_model, "seconds_to_compile", lambda physics: 50.0)
     assert expected_seconds(settings, 2.0) == compiled | {"evolve": compiled["evolve"] + 50.0}
-
-
-def test_only_the_kernels_of_the_engine_in_use_are_waited_for(monkeypatch):
-    left = {"tasks.simulation.rigid_bodies.step.advance_robots": 30, "tasks.simulation.trees.step.advance": 20}
-    monkeypatch.setattr(batch, "uncompiled_kernels", lambda: left | {"tasks.design.genes.find_fault": 1})
-    assert batch.seconds_to_compile(Physics()) == 21
-    assert batch.seconds_to_compile(Physics(link_collisions=True)) == 31
 
 
 def test_a_gpu_trains_at_its_stated_rate():

@@ -1,13 +1,15 @@
-"""Compilation of the kernels beside the first stages."""
+"""Compilation of the kernels while the cluster starts."""
 
 import psutil
+import pytest
 
 from pipeline.workflow.compiling import compiling
 from tasks.world import Physics
 
 
-def test_the_compiling_process_ends_with_the_study() -> None:
-    with compiling(Physics()):
-        (process,) = (one for one in psutil.Process().children() if "tasks.evolution.compilation" in one.cmdline())
+def test_the_compiling_process_ends_with_a_study_that_fails() -> None:
+    with pytest.raises(ZeroDivisionError), compiling(Physics()):
+        (process,) = (one for one in psutil.Process().children() if "pipeline.workflow.compiling" in one.cmdline())
         assert process.is_running()
+        raise ZeroDivisionError
     assert not process.is_running()

@@ -1,0 +1,132 @@
+"""Kernels are compiled once on a machine, again when their source changes, and never loaded damaged."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numba
+import pytest
+
+from pipeline import kernels
+from tasks.compiled import compiled
+from tasks.simulation.batch import needed_kernels
+from tasks.world import Physics
+
+ROOT = Path(__file__).parents[2]
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="there is no compiler")
+
+DESIGNS = "import sys, numpy, puddle; puddle.random_designs(int(sys.argv[1]), numpy.random.default_rng(1))"
+
+
+@pytest.fixture
+def compilations(tmp_path):
+    """Draw designs in a new process, as a user of `puddle` does; return what was compiled."""
+
+    def run(place: Path = ROOT) -> list[str]:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(place)}
+        command = [sys.executable, "-c", DESIGNS, "3"]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True)
+        return [line for line in done.stderr.splitlines() if line.startswith("compiling tasks.")]
+
+    return run
+
+
+def test_a_kernel_is_compiled_once_until_a_source_is_edited(compilations, tmp_path):
+    """A copy elsewhere takes it, too: on a cluster Ray unpacks the sources into a folder of each session."""
+    assert compilations()
+    assert compilations() == []
+    for package in ("tasks", "pipeline", "puddle"):
+        shutil.copytree(ROOT / package, tmp_path / "copy" / package, ignore=shutil.ignore_patterns("__pycache__"))
+    assert compilations(tmp_path / "copy") == []
+    with (tmp_path / "copy" / "tasks" / "world" / "physics.py").open("a") as file:
+        file.write("# edited\n")
+    assert compilations(tmp_path / "copy")
+    assert compilations() == []
+
+
+def test_every_module_with_kernels_is_a_source():
+    tasks = ROOT / "tasks"
+    sources = {path for pattern in kernels.SOURCES for path in tasks.glob(pattern)}
+    with_kernels = {
+        path for path in tasks.rglob("*.py") if "numba" in (text := path.read_text()) or "tasks.compiled" in text
+    }
+    assert len(with_kernels) > 10 and with_kernels <= sources
+
+
+def doubled(x):
+    return 2 * x
+
+
+@pytest.fixture
+def compile_and_call(tmp_path, monkeypatch, capsys):
+    """Call a new kernel as a new process would; return what was said."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    cached = kernels.cache_folder, kernels.checked_folder, kernels._warn
+
+    def call() -> str:
+        for function in cached:
+            function.cache_clear()
+        assert compiled(doubled, seconds=1)(21) == 42
+        return capsys.readouterr().err
+
+    yield call
+    for function in cached:
+        function.cache_clear()
+
+
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("name", ["*.nbc", "*.nbi", "digests.json"])
+@pytest.mark.parametrize(
+    "damage",
+    [flip, lambda path: path.write_bytes(path.read_bytes()[:-2]), lambda path: path.write_bytes(b""), Path.unlink],
+    ids=["flipped bit", "cut", "empty", "gone"],
+)
+def test_a_damaged_cache_is_discarded_with_one_line(compile_and_call, tmp_path, name, damage):
+    assert compile_and_call().count("compiling") == 1
+    assert compile_and_call() == ""
+    (path,) = tmp_path.glob(f"*/*/{name}")
+    damage(path)
+    assert not kernels.is_sound(path.parent)
+    said = compile_and_call()
+    assert said.count(f"the compiled kernels in {path.parent} are damaged") == 1 and said.count("compiling") == 1
+    assert kernels.is_sound(path.parent) and compile_and_call() == ""
+
+
+def test_what_is_compiled_takes_no_more_time(compile_and_call, monkeypatch):
+    monkeypatch.setattr(kernels, "needed_kernels", lambda physics: [doubled])
+    compile_and_call()
+    assert kernels.seconds_to_compile(Physics()) == 0
+    kernels.cache_folder.cache_clear()
+    shutil.rmtree(kernels.cache_folder())
+    assert kernels.seconds_to_compile(Physics()) == 1
+
+
+def test_only_the_kernels_of_the_engine_in_use_are_needed():
+    for collide, unused in ((False, "rigid_bodies"), (True, "trees")):
+        needed = needed_kernels(Physics(link_collisions=collide))
+        assert needed and not any(f".{unused}." in function.__module__ for function in needed)
+
+
+def test_a_closure_is_no_kernel():
+    factor = 2
+    with pytest.raises(ValueError, match="is a closure"):
+        compiled(lambda x: factor * x, seconds=1)
+
+
+def test_without_a_home_kernels_are_kept_among_temporary_files(tmp_path, monkeypatch):
+    """A home that is missing below a file can't be made, like one below a folder of others."""
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HOME", str(tmp_path / "file" / "home"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert kernels.users_folder().parent == tmp_path
