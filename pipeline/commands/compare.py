@@ -42,10 +42,9 @@ def compare(
 
     if (b is None) == (arms is None):
         raise PuddleError("expected two studies, or one study and --arms A B")
-    if out is not None and (out.suffix not in SUFFIXES or not out.parent.is_dir()):
-        raise PuddleError(
-            f"--out: expected a file that ends in {', '.join(SUFFIXES)}, in an existing folder, got {out}"
-        )
+    if out is not None and (out.suffix not in SUFFIXES or not out.parent.is_dir() or out.exists()):
+        expected = f"a new file that ends in {', '.join(SUFFIXES)}, in an existing folder"
+        raise PuddleError(f"--out: expected {expected}, got {out}{', which exists' if out.exists() else ''}")
     opened = partial(open_study, say=to_stderr)
     if arms is not None:
         compared = compare_arms(opened(a, store), *arms)

@@ -11,21 +11,16 @@ from pipeline.config.settings import DEEPEST, Settings
 from pipeline.errors import PuddleError
 from pipeline.report.films import render_gif, render_mp4
 from pipeline.report.page import render_robot
-from pipeline.report.replay import Overlay, replay_of
+from pipeline.report.replay import replay_of
 from pipeline.stages import environments
-from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.data_sets import NetworkId
-from pipeline.stages.environments import SimulationSpec
-from pipeline.stages.replays import looked_at, push_of, surroundings_in
+from pipeline.stages.replays import doubts, push_of, surroundings_in
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, InputName
-from pipeline.workflow.stage import Execution, Files, Inputs, MissingInputs
+from pipeline.workflow.stage import Execution, Files, MissingInputs
 from tasks.analysis.filmed import NO_MEMBER, median_member
-from tasks.arrays import Floats
-from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
-from tasks.residual import split_throws
 from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS
 
@@ -46,8 +41,8 @@ def simulate_design(
 ) -> list[str]:
     """Return lines that state the displacement of the design in a file, and show it if asked to.
 
-    A page shows the members' disagreement at each link and the distance of each state from the throws, in any
-    environment, as long as the store holds networks for these settings.
+    A page shows the members' disagreement at each link, in any environment, as long as the store holds networks for
+    these settings.
 
     Args:
         path: the design file.
@@ -73,7 +68,7 @@ def simulate_design(
     needs_networks = ENVIRONMENTS[environment].networks == "all"
     if needs_networks or is_page:
         try:
-            files = trained_networks(settings, open_store, environment, throws=is_page)
+            files = trained_networks(settings, open_store, environment)
         except PuddleError as missing:
             advice = f". `{how_to_run('study')}` computes it." if isinstance(missing, MissingInputs) else ""
             why = f"{missing}{advice}"
@@ -118,7 +113,7 @@ def simulate_design(
             surroundings=surroundings_in(environment),
             n_settle=settings.rollout.n_settle,
             time_step=settings.physics.time_step,
-            overlays=_overlays(settings, simulation, design, trace, files) if is_page and files else (),
+            overlays=doubts(simulation, design, trace, environments.ensemble_of(files)) if is_page and files else (),
             push=push_of(simulation, Arm(environment, depth), member, design, trace, files, network)
             if is_page
             else None,
@@ -132,15 +127,6 @@ def simulate_design(
             raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
         lines.append(f"  shown in {out}")
     return lines
-
-
-def _overlays(
-    settings: Settings, simulation: SimulationSpec, design: Designs, trace: Floats, files: Inputs
-) -> tuple[Overlay, ...]:
-    """Measure what the networks know along a rollout."""
-    transitions = read_transitions(throws_among(files))
-    learned, _ = split_throws(transitions.throw, settings.training.held_out, seed=settings.seed)
-    return looked_at(simulation, design, trace, files, transitions[learned])
 
 
 def _kind_of(out: Path) -> str:

@@ -177,9 +177,9 @@ def _lines(comparison: RunComparison) -> list[str]:
         f"{1000 * simulated.y.mean():+z.0f} mm",
         f"speed: {in_mm(measured.speed)} mm/s, simulated {in_mm(simulated.speed)} mm/s",
     ]
-    if (prediction := comparison.prediction) is not None:
-        low, high = in_mm(prediction.low), in_mm(prediction.high)
-        lines.append(f"predicted: {in_mm(prediction.mean)} mm/s, within {low} to {high}")
+    if comparison.prediction is not None:
+        mean, low, high = map(in_mm, comparison.prediction)
+        lines.append(f"predicted: {mean} mm/s, within {low} to {high}")
     if note := note_on(comparison):
         lines.append(f"note: {note}")
     lag = words_for_lags(comparison)

@@ -54,7 +54,7 @@ def score_designs(
         )
     designs = read_designs(path)
     needs_networks = ENVIRONMENTS[environment].networks == "all"
-    networks = trained_networks(settings, open_store, environment, throws=False) if needs_networks else {}
+    networks = trained_networks(settings, open_store, environment) if needs_networks else {}
     simulation = environments.simulation_spec(settings, environment)
     at = environments.build_environment(simulation.media, environment, depth, networks)
     execution, fitness = Execution(settings.work.engine), environments.fitness_spec(settings, environment)

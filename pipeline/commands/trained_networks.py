@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import environments
-from pipeline.stages.collect import COLLECT, throws_inputs
+from pipeline.stages.collect import COLLECT
 from pipeline.stages.data_sets import DataSetId, data_sets, main_data_set
 from pipeline.stages.train import TRAIN
 from pipeline.store.store import Store
@@ -16,9 +16,9 @@ from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
 def trained_networks(
-    settings: Settings, open_store: Callable[[], Store], environment: EnvironmentName, *, throws: bool
+    settings: Settings, open_store: Callable[[], Store], environment: EnvironmentName
 ) -> dict[InputName, Files]:
-    """Return every member of an environment's ensemble, and the throws that they learned from if asked to.
+    """Return every member of an environment's ensemble.
 
     With several replicates it is the ensemble of the first.
 
@@ -26,7 +26,6 @@ def trained_networks(
         settings: the settings of the networks.
         open_store: opens the store that holds them.
         environment: residual_slush, designed_throws, or one without networks, which gets the main ensemble.
-        throws: whether to read the throws, too.
 
     Raises:
         PuddleError: the settings train no networks, a network is missing, or the store is damaged.
@@ -52,8 +51,6 @@ def trained_networks(
         if damage:
             raise PuddleError(damage[0])
         inputs = environments.ensemble_inputs(settings, data_set, upstream)
-        if throws:
-            inputs |= throws_inputs(upstream["collect"], data_set)
         return {
             name: {file: store.read(source.manifest, file) for file in source.files} for name, source in inputs.items()
         }

@@ -9,7 +9,7 @@ which made one film in ten of 600 or 608 pixels differ. The bytes depend on the 
 
 import io
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,10 @@ from PIL import Image
 
 from pipeline.report.camera import FILM_FPS, LANE_HEIGHT, PICTURE_WIDTH, cameras
 from pipeline.report.replay import Replay
-from pipeline.report.robot_view import Lane, palette
+from pipeline.report.robot_view import Lane
 
 GIF_EVERY = 3  # a GIF has every third picture: it counts time in hundredths of a second, and pictures add to its size
+_MOST_COLORS = 128  # of a GIF: the most frequent ones
 
 _X264 = {"preset": "veryfast", "crf": "23", "threads": "1"}
 """At a constant rate factor of 23 the edges of links are clean, and 20 s take 250 to 550 kB. A slower preset takes
@@ -31,30 +32,48 @@ _BT709 = 1  # colour encoding (ITU-T H.273), written into the file so that playe
 _STUDIO_RANGE = 1  # brightness from 16 to 235, as players expect
 
 
-def render_films(replays: Sequence[Replay]) -> tuple[bytes, bytes]:
-    """Return the GIF and the MP4 of replays, drawing each picture once."""
-    gif: list[Image.Image] = []
-    reduce_colors = _on_palette(replays)
-
-    def drawn() -> Iterator[Image.Image]:
-        for number, picture in enumerate(pictures(replays)):
-            if number % GIF_EVERY == 0:
-                gif.append(reduce_colors(picture))
-            yield picture
-
-    mp4 = _write_mp4(drawn(), len(replays))
-    return _write_gif(gif), mp4
-
-
 def render_gif(replays: Sequence[Replay]) -> bytes:
     """Return a film of replays above one another as a GIF that repeats forever."""
-    reduce_colors = _on_palette(replays)
-    return _write_gif([reduce_colors(picture) for picture in pictures(replays, every=GIF_EVERY)])
+    some = list(pictures(replays, every=25 * GIF_EVERY))
+    seen = Image.new("RGB", (PICTURE_WIDTH, sum(picture.height for picture in some)))
+    for number, picture in enumerate(some):
+        seen.paste(picture, (0, number * picture.height))
+    counted: list[tuple[int, tuple[int, ...]]] = seen.getcolors(seen.width * seen.height)  # type: ignore[assignment]
+    colors = Image.new("P", (1, 1))
+    colors.putpalette([part for _, color in sorted(counted, reverse=True)[:_MOST_COLORS] for part in color])
+    drawn = pictures(replays, every=GIF_EVERY)
+    first, *rest = (picture.quantize(palette=colors, dither=Image.Dither.NONE) for picture in drawn)
+    duration, out = round(1000 * GIF_EVERY / FILM_FPS), io.BytesIO()
+    # "optimize" writes only the part of a picture that changed.
+    first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=True)
+    return out.getvalue()
 
 
 def render_mp4(replays: Sequence[Replay]) -> bytes:
     """Return a film of replays above one another as an MP4."""
-    return _write_mp4(pictures(replays), len(replays))
+    import av  # takes a tenth of a second to load, and only films need it
+    from av.video.reformatter import VideoReformatter
+
+    converter = VideoReformatter()  # one for all pictures: setting it up takes longer than using it
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"  # a file, because the index is moved to the front at the end
+        with av.open(path, "w", options=_MP4) as container:
+            stream = container.add_stream("libx264", rate=FILM_FPS, options=_X264)
+            stream.width, stream.height, stream.pix_fmt = PICTURE_WIDTH, LANE_HEIGHT * len(replays), "yuv420p"
+            context = stream.codec_context
+            context.colorspace = context.color_primaries = context.color_trc = _BT709
+            context.color_range = _STUDIO_RANGE
+            for picture in pictures(replays):
+                frame = converter.reformat(
+                    av.VideoFrame.from_image(picture),
+                    format="yuv420p",
+                    dst_colorspace=_BT709,
+                    dst_color_range=_STUDIO_RANGE,
+                    threads=1,
+                )
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+        return path.read_bytes()
 
 
 def pictures(replays: Sequence[Replay], *, every: int = 1) -> Iterator[Image.Image]:
@@ -73,50 +92,3 @@ def pictures(replays: Sequence[Replay], *, every: int = 1) -> Iterator[Image.Ima
         for number, (replay, lane) in enumerate(zip(replays, lanes, strict=True)):
             picture.paste(lane.draw(frame, min(float(times[frame]), replay.duration)), (0, number * LANE_HEIGHT))
         yield picture
-
-
-def _on_palette(replays: Sequence[Replay]) -> Callable[[Image.Image], Image.Image]:
-    """Return a function that reduces a picture to the colours of the replays."""
-    colors = Image.new("P", (1, 1))
-    colors.putpalette([part for color in palette(replays) for part in color])
-    return lambda picture: picture.quantize(palette=colors, dither=Image.Dither.NONE)
-
-
-def _write_gif(frames: Sequence[Image.Image]) -> bytes:
-    out = io.BytesIO()
-    frames[0].save(
-        out,
-        "GIF",
-        save_all=True,
-        append_images=frames[1:],
-        duration=round(1000 * GIF_EVERY / FILM_FPS),
-        loop=0,
-        optimize=True,  # writes only the part of a picture that changed
-    )
-    return out.getvalue()
-
-
-def _write_mp4(drawn: Iterable[Image.Image], n_lanes: int) -> bytes:
-    import av  # takes a tenth of a second to load, and only films need it
-    from av.video.reformatter import VideoReformatter
-
-    converter = VideoReformatter()  # one for all pictures: setting it up takes longer than using it
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "film.mp4"  # a file, because the index is moved to the front at the end
-        with av.open(path, "w", options=_MP4) as container:
-            stream = container.add_stream("libx264", rate=FILM_FPS, options=_X264)
-            stream.width, stream.height, stream.pix_fmt = PICTURE_WIDTH, LANE_HEIGHT * n_lanes, "yuv420p"
-            context = stream.codec_context
-            context.colorspace = context.color_primaries = context.color_trc = _BT709
-            context.color_range = _STUDIO_RANGE
-            for picture in drawn:
-                frame = converter.reformat(
-                    av.VideoFrame.from_image(picture),
-                    format="yuv420p",
-                    dst_colorspace=_BT709,
-                    dst_color_range=_STUDIO_RANGE,
-                    threads=1,
-                )
-                container.mux(stream.encode(frame))
-            container.mux(stream.encode())
-        return path.read_bytes()

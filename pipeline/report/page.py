@@ -82,14 +82,6 @@ FIGURES: Mapping[str, PageFigure] = {
         "Displacement in True Slush by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
         lambda page: transfer_figures.transfer_across_depths(page.rows("transfer")),
     ),
-    "attribution": PageFigure(
-        "Transfer gap: body and controller",
-        "transfer",
-        "How far zero-shot champions fall short of those that evolved in True Slush (diamonds), and why: the "
-        "controller’s part (hatched) is recovered when it adapts, the body’s part (plain) remains.",
-        lambda page: transfer_figures.attribution(page.rows("attribution")),
-        inline=False,
-    ),
     "fitness_curves": PageFigure(
         "Fitness by generation",
         "evolution",

@@ -31,9 +31,8 @@ class Overlay:
     """A number for every link and frame, shown as the colour of the link and as a line over time."""
 
     label: str
-    unit: str  # such as "m/s²", or "× usual"
+    unit: str  # such as "m/s²"
     values: Float64  # (n_frames, n_links), not negative; NaN where unknown
-    darkest_at_least: float = 0.0  # lower bound on the darkest colour's value, so that harmless values look harmless
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +225,7 @@ def _encode_overlay(overlay: Overlay) -> dict[str, Any]:
     known = np.isfinite(overlay.values)
     # The 95th percentile, so that peaks do not make the rest pale.
     most = float(np.quantile(overlay.values[known], 0.95)) if known.any() else 0.0
-    most = max(most, overlay.darkest_at_least, 1e-9)
+    most = max(most, 1e-9)
     levels = np.rint(np.clip(np.where(known, overlay.values, 0.0) / most, 0, 1) * 254)
     return {
         "label": overlay.label,

@@ -53,13 +53,13 @@ class Lane:
         top = min(max(round(float(self._surface[frame])), 0), LANE_SIZE[1]) if self._replay.has_medium else LANE_SIZE[1]
         if top < LANE_SIZE[1]:
             draw.rectangle((0, top, *LANE_SIZE), fill=SLUSH)
-        veiled = self._submerged(frame, top)
-        self._distances(draw, frame, top, veiled)
+        for at, column in self._ticks(frame, 5.0):  # lines make motion visible; that of the start is darker
+            color = UNKNOWN if at == 0 else DISTANCE_LINE
+            draw.line((column, CAPTION_HEIGHT * ZOOM, column, LANE_SIZE[1]), fill=color, width=ZOOM)
         self._robot(draw, frame)
-        if veiled is not None:
-            seen = picture.crop(veiled)
-            picture.paste(Image.blend(seen, Image.new("RGB", seen.size, SLUSH), SLUSH_OVER_ROBOT), veiled)
         if top < LANE_SIZE[1]:
+            submerged = picture.crop((0, top, *LANE_SIZE))
+            picture.paste(Image.blend(submerged, Image.new("RGB", submerged.size, SLUSH), SLUSH_OVER_ROBOT), (0, top))
             _surface(draw, top, dashed=self._replay.hallucinated)
         ground = float(self._ground[frame])
         if ground < LANE_SIZE[1]:
@@ -73,14 +73,6 @@ class Lane:
         draw.line((0, LANE_SIZE[1] - 1, LANE_SIZE[0], LANE_SIZE[1] - 1), fill=WHITE, width=2 * ZOOM)
         return picture.reduce(ZOOM)
 
-    def _submerged(self, frame: int, top: int) -> tuple[int, int, int, int] | None:
-        """Return the bounding box of the submerged part of the robot, or None."""
-        reach = 5 * ZOOM  # dots lie over the edges
-        left, upper = (self._edges[frame].min(axis=(0, 1)) - reach).astype(int).tolist()
-        right, lower = (self._edges[frame].max(axis=(0, 1)) + reach).astype(int).tolist()
-        box = max(left, 0), max(upper, top), min(right, LANE_SIZE[0]), min(lower, LANE_SIZE[1])
-        return box if box[0] < box[2] and box[1] < box[3] else None
-
     def _ticks(self, frame: int, every: float) -> list[tuple[float, float]]:
         """Return the distances from the start [m] that are in view, with their columns."""
         camera, x = self._camera, float(self._camera.x[frame])
@@ -89,19 +81,6 @@ class Lane:
         last = math.floor((x + half - self._start) / every)
         distances = [every * number for number in range(first, last + 1)]
         return [(at, LANE_SIZE[0] / 2 + (self._start + at - x) * camera.scale) for at in distances]
-
-    def _distances(
-        self, draw: ImageDraw.ImageDraw, frame: int, top: int, veiled: tuple[int, int, int, int] | None
-    ) -> None:
-        """Draw a vertical line every 5 m, which makes motion visible; the line at the start is darker."""
-        for at, column in self._ticks(frame, 5.0):
-            color = UNKNOWN if at == 0 else DISTANCE_LINE
-            draw.line((column, CAPTION_HEIGHT * ZOOM, column, top), fill=color, width=ZOOM)
-            if top < LANE_SIZE[1]:
-                paler = mix(color, SLUSH, SLUSH_OVER_ROBOT)
-                draw.line((column, top, column, LANE_SIZE[1]), fill=paler, width=ZOOM)
-            if veiled is not None and veiled[0] <= column < veiled[2]:  # will be veiled with the robot
-                draw.line((column, veiled[1], column, veiled[3] - 1), fill=color, width=ZOOM)
 
     def _scale(self, draw: ImageDraw.ImageDraw, frame: int) -> None:
         """Draw a scale along the lower edge: a tick every metre, and a label every five where it fits."""
@@ -137,21 +116,6 @@ def robot_colors(environment: str) -> tuple[Rgb, Rgb, Rgb]:
     """Return the colours of the root, of the other links and of their edges."""
     color = _color(environment)
     return color, mix(color, WHITE, 0.28), mix(color, INK, 0.55)
-
-
-def palette(replays: Sequence[Replay]) -> list[Rgb]:
-    """Return the colours in the pictures of replays, and those halfway between colours that meet at an edge."""
-    flat = (WHITE, SKY, SLUSH, GROUND_FILL, INK, DISTANCE_LINE, SURFACE, GROUND_EDGE, UNKNOWN)
-    colors = [mix(color, color, 0) for color in flat]
-    colors += [mix(INK, WHITE, share) for share in (0.25, 0.5, 0.75)]
-    edges = ((INK, GROUND_FILL), (INK, SLUSH), (GROUND_EDGE, SKY), (SURFACE, SKY), (UNKNOWN, SKY))
-    colors += [mix(one, other, 0.5) for one, other in edges]
-    colors += [mix(color, SLUSH, SLUSH_OVER_ROBOT) for color in (INK, WHITE, UNKNOWN, DISTANCE_LINE)]
-    for environment in sorted({replay.environment for replay in replays}):
-        color, paler, edge = robot_colors(environment)
-        dry = [color, paler, edge, mix(edge, paler, 0.5), mix(edge, SKY, 0.5)]
-        colors += [*dry, mix(color, WHITE, 0.6), *(mix(part, SLUSH, SLUSH_OVER_ROBOT) for part in dry)]
-    return list(dict.fromkeys(colors))
 
 
 def link_outline(pose: Float64, length: Float64, *, inset: float = 0.0) -> Float64:

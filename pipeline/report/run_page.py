@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.report.document import document, inline_svg
-from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, finish
-from pipeline.text import escape
+from pipeline.report.document import TEMPLATES, document, inline_svg
+from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, finish
 from tasks.analysis.built_run import RunComparison
 from tasks.world import ENVIRONMENTS
 
@@ -19,34 +18,24 @@ _PERIODS = 3.0  # of the gait that the figure of the joints shows
 
 def render_run(comparison: RunComparison, run: str) -> str:
     """Return the page of a comparison; ``run`` is the name of the video or tracks."""
-    figures = (
-        finish("path", "Path of the root", partial(_path, comparison)),
-        finish("joints", "Joints", partial(_joints, comparison)),
-    )
-    measured, simulated = comparison.measured, comparison.simulated
-    rows: list[tuple[str, ...]] = [
-        ("speed [mm/s]", in_mm(measured.speed), in_mm(simulated.speed), _predicted(comparison))
-    ]
-    lag = words_for_lags(comparison)
+    both = comparison.measured, comparison.simulated
+    rows = [("speed [mm/s]", *(in_mm(one.speed) for one in both), _predicted(comparison))]
     for column, joint in enumerate(comparison.robot.joints):
-        amplitudes = (f"±{np.degrees(run_.gaits[column].amplitude):.0f}" for run_ in (measured, simulated))
+        amplitudes = (f"±{np.degrees(one.gaits[column].amplitude):.0f}" for one in both)
+        lags = (f"{np.degrees(value):+z.0f}" for value in comparison.lags[:, column])
         rows.append((f"joint {joint}: amplitude [°]", *amplitudes, ""))
-        rows.append(
-            (f"joint {joint}: {lag} [°]", *(f"{np.degrees(value):+z.0f}" for value in comparison.lags[:, column]), "")
-        )
-    cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    shown = "".join(_figure(figure) for figure in figures)
-    note = f" But {escape(words)}." if (words := note_on(comparison)) else ""
-    body = f"""<main>
-<header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(comparison.robot.name)}</h1>
-<p class="finding">{escape(verdict(comparison))}</p></header>
-<div class="figures">{shown}</div>
-<div class="scroll"><table><thead><tr><th></th><th>measured</th><th>simulated</th><th>predicted</th></tr></thead>
-<tbody>{cells}</tbody></table></div>
-<p class="small">The gait was steady for {measured.time[-1] - measured.time[0]:.1f} s. Simulated: the true
-slush of the kit's settings. Predicted: the mean of the ensemble's members, two standard deviations to either side. The
-members' disagreement is a lower bound on the uncertainty.{note}</p>
-</main>"""
+        rows.append((f"joint {joint}: {words_for_lags(comparison)} [°]", *lags, ""))
+    drawn = (("path", "Path of the root", _path), ("joints", "Joints", _joints))
+    body = TEMPLATES.get_template("run.html").render(
+        run=run,
+        name=comparison.robot.name,
+        verdict=verdict(comparison),
+        figures=[finish(name, title, partial(draw, comparison)) for name, title, draw in drawn],
+        rows=rows,
+        seconds=comparison.measured.time[-1] - comparison.measured.time[0],
+        note=note_on(comparison),
+        svg=inline_svg,
+    )
     return document(title=f"Run of {comparison.robot.name}", policy="img-src data:", body=body)
 
 
@@ -60,11 +49,11 @@ def verdict(comparison: RunComparison) -> str:
             f"No ensemble predicts this run: {went}, {share} the {in_mm(simulated)} mm/s of its simulation. Name the "
             f"study that it comes from with --study."
         )
-    low, high = prediction.low, prediction.high
+    _, low, high = prediction
     predictor = comparison.predictor
     predicted_by = "the kit's ensemble" if predictor is None else f"the ensemble of study {predictor.study}"
     predicted = f"the {in_mm(low)} to {in_mm(high)} mm/s that {predicted_by} predicted"
-    if not prediction.holds(measured):
+    if not low <= measured <= high:
         return f"The robot did not move as predicted: {went}, {'less' if measured < low else 'more'} than {predicted}."
     vague = ", but the prediction leaves the direction open" if low < 0 < high else ""
     return f"The robot moved as predicted{vague}: {went}, within {predicted}."
@@ -98,38 +87,21 @@ def in_mm(speed: float) -> str:
 def _predicted(comparison: RunComparison) -> str:
     if comparison.prediction is None:
         return ""
-    mean, low, high = comparison.prediction.mean, comparison.prediction.low, comparison.prediction.high
-    return f"{in_mm(mean)} ({in_mm(low)} to {in_mm(high)})"
-
-
-def _figure(drawn: Drawing | Missing) -> str:
-    assert isinstance(drawn, Drawing)
-    caption = f"<figcaption>{escape(drawn.description)}</figcaption>"
-    return f'<figure id="{drawn.name}"><h3>{drawn.title}</h3>{inline_svg(drawn)}{caption}</figure>'
+    mean, low, high = map(in_mm, comparison.prediction)
+    return f"{mean} ({low} to {high})"
 
 
 def _path(comparison: RunComparison) -> tuple[Figure, str]:
     """Draw x over time, with the prediction as a band."""
     figure = Figure(figsize=(FIGURE_WIDTH, 4.4), layout="constrained")
     axes, heights = figure.subplots(2, sharex=True, height_ratios=(3, 1))
-    time, simulated = (
-        comparison.measured.time - comparison.measured.time[0],
-        comparison.simulated.time - comparison.simulated.time[0],
-    )
+    time, simulated = (one.time - one.time[0] for one in (comparison.measured, comparison.simulated))
+    band = {"color": _PREDICTED, "alpha": 0.25, "lw": 0, "label": "predicted"}
     if comparison.members is not None:
         middle, spread = comparison.members.mean(axis=0), 2 * comparison.members.std(axis=0)
-        axes.fill_between(
-            simulated,
-            1000 * (middle - spread),
-            1000 * (middle + spread),
-            color=_PREDICTED,
-            alpha=0.25,
-            lw=0,
-            label="predicted",
-        )
+        axes.fill_between(simulated, 1000 * (middle - spread), 1000 * (middle + spread), **band)
     elif comparison.prediction is not None:
-        edges = [1000 * speed * time for speed in (comparison.prediction.low, comparison.prediction.high)]
-        axes.fill_between(time, *edges, color=_PREDICTED, alpha=0.25, lw=0, label="predicted")
+        axes.fill_between(time, *(1000 * speed * time for speed in comparison.prediction[1:]), **band)
     for axis, values in ((axes, "x"), (heights, "y")):
         axis.plot(simulated, 1000 * getattr(comparison.simulated, values), color=_SIMULATED, label="simulated")
         axis.plot(time, 1000 * getattr(comparison.measured, values), color=INK, label="measured")
@@ -147,10 +119,8 @@ def _joints(comparison: RunComparison) -> tuple[Figure, str]:
     figure = Figure(figsize=(FIGURE_WIDTH, 1.0 + 1.6 * len(joints)), layout="constrained")
     every = figure.subplots(len(joints), sharex=True, squeeze=False)[:, 0]
     for column, (axes, joint) in enumerate(zip(every, joints, strict=True)):
-        for run, color, name in (
-            (comparison.simulated, _SIMULATED, "simulated"),
-            (comparison.measured, INK, "measured"),
-        ):
+        runs = (comparison.simulated, _SIMULATED, "simulated"), (comparison.measured, INK, "measured")
+        for run, color, name in runs:
             turns = run.time * frequency
             shown = (turns >= (first := np.ceil(turns[0]))) & (turns <= first + _PERIODS)
             style = "." if name == "measured" else "-"

@@ -1,4 +1,4 @@
-"""Figures of champions and their evolution: paper, Fig. 4, fitness by generation, and the gap's causes."""
+"""Figures of champions and their evolution: paper, Fig. 4, and fitness by generation."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,7 +22,6 @@ from pipeline.report.drawing import (
     show_at_least,
 )
 from tasks.analysis import paper
-from tasks.analysis.tables.attribution import Attribution
 from tasks.analysis.tables.transfer import ScoreRow, TransferRow, papers_mean
 from tasks.arrays import Float64
 from tasks.world import ENVIRONMENTS
@@ -109,55 +108,6 @@ def transfer_across_depths(rows: Sequence[TransferRow]) -> Figure:
     handles = [Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label) for style in styles]
     legend(figure, handles, n_columns=3 if len(handles) <= 6 else 2)
     return figure
-
-
-def attribution(rows: Sequence[Attribution]) -> Figure:
-    """Draw a panel for each arm: the gap to the designs evolved in True Slush by depth, split into its two causes."""
-    known = [row for row in rows if row.gap.value is not None]
-    if not known:
-        raise NothingToDraw
-    arms, listed = list(dict.fromkeys(row.environment for row in known)), sorted({row.depth for row in known})
-    figure = Figure(figsize=(FIGURE_WIDTH, 1.6 * len(arms) + 0.9), layout="constrained")
-    panels = figure.subplots(len(arms), 1, sharex=True, sharey=True, squeeze=False).ravel()
-    for panel, arm in zip(panels, arms, strict=True):
-        for row in known:
-            if row.environment == arm:
-                _stack(panel, listed.index(row.depth), row)
-        panel.axhline(0, color=INK, lw=0.8)
-        panel.set_title(ENVIRONMENTS[arm].label)
-        panel.grid(axis="y")
-        panel.set_ylabel("gap [m]")
-    # Two replicates leave a single degree of freedom, and intervals ten times as long as the gap.
-    parts = (part.value for row in known for part in (row.gap, row.lost_to_body, row.lost_to_controller))
-    most = 2 * max(0.05, *(abs(part) for part in parts if part is not None))
-    low, high = panels[0].get_ylim()
-    panels[0].set_ylim(max(low, -most), min(high, most))
-    show_at_least(panels[0])
-    panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
-    panels[-1].set_xlim(-0.6, len(listed) - 0.4)
-    panels[-1].set_xlabel("depth [m]")
-    handles = [
-        Patch(facecolor="none", edgecolor=INK, lw=0.8, hatch="////", label="controller"),
-        Patch(facecolor=INK, edgecolor=INK, lw=0.8, label="body"),
-        Line2D([], [], color=INK, marker="D", mfc="#ffffff", ms=4.5, ls="none", label="gap, 95 %"),
-    ]
-    legend(figure, handles)
-    return figure
-
-
-def _stack(panel: Any, place: int, row: Attribution) -> None:
-    style = ENVIRONMENTS[row.environment]
-    tops = {True: 0.0, False: 0.0}  # parts above and below 0 are stacked separately
-    for part, looks in (
-        (row.lost_to_body.value, {"facecolor": style.color}),
-        (row.lost_to_controller.value, {"facecolor": style.adapted_color, "hatch": "////"}),
-    ):
-        if part is not None:
-            panel.bar(place, part, 0.62, bottom=tops[part >= 0], edgecolor=style.color, lw=1.0, **looks)
-            tops[part >= 0] += part
-    if row.gap.interval is not None:
-        panel.plot([place, place], row.gap.interval, color=INK, lw=1.1)
-    panel.plot(place, row.gap.value, "D", mfc="#ffffff", mec=INK, ms=4.5)
 
 
 Curves = Mapping[tuple[str, float], Sequence[Float64]]  # best fitness by generation of each trial, by arm

@@ -1,6 +1,5 @@
 """Replays of champions: every one in True Slush, and the best of each arm where it evolved, too."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,24 +16,13 @@ from pipeline.workflow.identity import Arm, arms_of
 from pipeline.workflow.stage import Inputs
 from tasks.analysis.filmed import NO_MEMBER, Filmed, film_best, film_in_true_slush
 from tasks.analysis.hallucination import acceleration, disagreement, link_states
-from tasks.analysis.novelty import novelty, thrown
 from tasks.analysis.registry import Champion
-from tasks.analysis.tables.filmed_links import FilmedLink
 from tasks.arrays import Float64, Floats
 from tasks.design import Designs
-from tasks.residual import Transitions
 from tasks.simulation import OK, simulate
-from tasks.world import ENVIRONMENTS, DryLand, EnvironmentName, Medium
+from tasks.world import ENVIRONMENTS, DryLand, EnsembleMedium, EnvironmentName, Medium
 
-_OVERLAYS = (
-    ("disagreement", "disagreement of the members", "m/s²", 0.0),
-    ("novelty", "distance from the throws", "× typical", 1.0),
-)
-"""Column of the table of links, label on the page, unit, and lower bound on the value of the darkest colour: a state
-within the usual distance is not novel."""
 _MOST_SECONDS_IN_TANK = 60.0  # limit on the replays of the tank [s]
-
-Links = Mapping[tuple[str, float, str], Sequence[FilmedLink]]  # by where they evolved, depth, and where they are seen
 
 
 def arms_with_champions(study: StudyFiles) -> list[list[Champion]]:
@@ -45,43 +33,51 @@ def arms_with_champions(study: StudyFiles) -> list[list[Champion]]:
     return sorted((own for own in by_arm.values() if own), key=lambda own: -own[0].depth)
 
 
-def replays_of(study: StudyFiles, links: Links) -> list[Replay]:
-    """Return replays of every champion in True Slush, the best of each arm first, and also where it evolved.
-
-    Args:
-        study: scores, and every network or none.
-        links: measurements along the films of the best.
-    """
+def replays_of(study: StudyFiles) -> list[Replay]:
+    """Return replays of every champion in True Slush, the best of each arm first, and also where it evolved."""
     replays: list[Replay] = []
     for own in arms_with_champions(study):
-        can_go_home = study.has_networks or own[0].environment not in RESIDUAL_ENVIRONMENTS
-        films = film_best(study, own) if can_go_home else []
-        best = {id(film.champion) for film in films if film.seen_in == "true_slush"}
-        scored = np.array([champion.zero_shot for champion in own])
-        mean = float(np.nanmean(scored)) if np.isfinite(scored).any() else np.nan
-        for film in films:
-            if np.isfinite(film.trace).all():
-                overlays = _overlays(study, film, links)
-                replays.append(replace(_replay(study, film, overlays), best=True, arm_mean=mean))
-        rest = [champion for champion in own if id(champion) not in best]
+        replays += (best := _best_of(study, own))
+        filmed = {replay.robot for replay in best if replay.in_true_slush}
+        rest = [champion for champion in own if _address(champion) not in filmed]
         others = film_in_true_slush(study, sorted(rest, key=lambda champion: -champion.zero_shot))
-        replays += [_replay(study, film, pushed=False) for film in others]
+        replays += [_replay(study, film) for film in others]
     return replays
 
 
 def best_replays(study: StudyFiles) -> list[Replay]:
     """Return replays in True Slush of the best champion of every arm, for the film of the first screen."""
-    return [replay for replay in replays_of(study, {}) if replay.best and replay.in_true_slush]
+    best = (replay for own in arms_with_champions(study) for replay in _best_of(study, own))
+    return [replay for replay in best if replay.in_true_slush]
 
 
-def _replay(study: StudyFiles, film: Filmed, overlays: tuple[Overlay, ...] = (), *, pushed: bool = True) -> Replay:
-    """Return the replay of a film; the push of the slush, which takes much of a page, is optional."""
+def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
+    """Return replays of an arm's best champion, with the push of the slush and where the members disagree."""
+    if own[0].environment in RESIDUAL_ENVIRONMENTS and not study.has_networks:
+        return []
+    scored = np.array([champion.zero_shot for champion in own])
+    mean = float(np.nanmean(scored)) if np.isfinite(scored).any() else np.nan
+    replays = []
+    for film in film_best(study, own):
+        if np.isfinite(film.trace).all():
+            simulation, design = study.spec.simulation, film.champion.design
+            networks = environments.networks_among(study.inputs)
+            network = NetworkId(study.data_set(film.champion), film.member) if networks else None
+            arm = Arm(film.seen_in, film.champion.depth)
+            push = push_of(simulation, arm, film.member, design, film.trace, networks, network)
+            overlays = doubts(simulation, design, film.trace, study.ensemble(film.champion)) if networks else ()
+            plain = _replay(study, film)
+            replays.append(replace(plain, push=push, overlays=overlays, best=True, arm_mean=mean))
+    return replays
+
+
+def _address(champion: Champion) -> str:
+    return robot_address(champion.environment, champion.depth, champion.trial)
+
+
+def _replay(study: StudyFiles, film: Filmed) -> Replay:
     champion = film.champion
     style, simulation = ENVIRONMENTS[champion.environment], study.spec.simulation
-    networks = environments.networks_among(study.inputs)
-    network = NetworkId(study.data_set(champion), film.member) if networks else None
-    arm = Arm(film.seen_in, champion.depth)
-    push = push_of(simulation, arm, film.member, champion.design, film.trace, networks, network) if pushed else None
     label = "Residual Slush" if film.seen_in in RESIDUAL_ENVIRONMENTS else ENVIRONMENTS[film.seen_in].label
     replay = replay_of(
         champion.design,
@@ -93,11 +89,8 @@ def _replay(study: StudyFiles, film: Filmed, overlays: tuple[Overlay, ...] = (),
         surroundings=surroundings_in(film.seen_in),
         n_settle=study.n_settle,
         time_step=simulation.physics.time_step,
-        overlays=overlays,
-        push=push,
     )
-    address = robot_address(champion.environment, champion.depth, champion.trial)
-    return replace(replay, robot=address, group=f"{style.label}, {champion.depth:g} m")
+    return replace(replay, robot=_address(champion), group=f"{style.label}, {champion.depth:g} m")
 
 
 def surroundings_in(environment: EnvironmentName) -> Surroundings:
@@ -108,39 +101,18 @@ def surroundings_in(environment: EnvironmentName) -> Surroundings:
     return known.get(environment, "another medium")
 
 
-def _overlays(study: StudyFiles, film: Filmed, links: Links) -> tuple[Overlay, ...]:
-    """Arrange the measurements along a film."""
-    rows = links.get((film.champion.environment, film.champion.depth, film.seen_in), ())
-    if not rows or rows[0].trial != film.champion.trial:
-        return ()
-    values = {name: np.array([getattr(row, name) for row in rows], dtype=np.float64) for name, *_ in _OVERLAYS}
-    return _overlaid([values[name].reshape(-1, film.trace.shape[2]) for name, *_ in _OVERLAYS], study.n_settle)
-
-
-def _overlaid(values: Sequence[Floats], n_settle: int) -> tuple[Overlay, ...]:
-    return tuple(
-        Overlay(label, unit, at_frames(of_links, n_settle), least)
-        for (_, label, unit, least), of_links in zip(_OVERLAYS, values, strict=True)
-        if np.isfinite(of_links).any()
-    )
-
-
-def looked_at(
-    simulation: SimulationSpec, design: Designs, trace: Floats, inputs: Inputs, learned: Transitions
-) -> tuple[Overlay, ...]:
-    """Return disagreement and novelty along one rollout of any design, where they are known.
+def doubts(simulation: SimulationSpec, design: Designs, trace: Floats, ensemble: EnsembleMedium) -> tuple[Overlay, ...]:
+    """Return how an ensemble's members disagree along one rollout; none where there is a single member.
 
     Args:
         simulation: physics and rollout.
         design: a single design.
         trace: (1, n_steps, n_links, 6)
-        inputs: every member.
-        learned: throws that they learned from.
+        ensemble: the members.
     """
-    physics = simulation.physics
-    magnitude = disagreement(design, trace, environments.ensemble_of(inputs), physics)[0]
-    new = novelty(link_states(design, trace, physics), thrown(learned.observation, learned.throw))[0]
-    return _overlaid([magnitude, new], simulation.rollout.n_settle)
+    of_links = disagreement(design, trace, ensemble, simulation.physics)[0]
+    values = at_frames(of_links, simulation.rollout.n_settle)
+    return (Overlay("disagreement of the members", "m/s²", values),) if np.isfinite(values).any() else ()
 
 
 def push_of(

@@ -45,7 +45,6 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.analysis.registry import Champion
-from tasks.analysis.tables.filmed_links import FilmedLink
 from tasks.evolution import OPERATORS
 
 PAGE = "index.html"  # the page's file
@@ -140,14 +139,20 @@ def _compute(job: Job[PageItemSpec | DataSpec], inputs: Inputs) -> Files:
 
 def _film(study: StudyFiles) -> Files:
     """Make a GIF and an MP4 of the two robots of the first screen."""
-    from pipeline.report.films import render_films  # Matplotlib takes seconds to import, and only this stage needs it
+    from pipeline.report.films import (
+        render_gif,
+        render_mp4,
+    )  # Matplotlib takes seconds to import, and only this stage needs it
 
     shown = [replay for _, replay in heroes(best_replays(study))]
     if not shown:
         return {f"{FILM}.json": encode_json({"shown": []})}
-    gif, mp4 = render_films(shown)
     listed = [f"{one.title}, in {one.seen_in}, {one.depth:g} m" for one in shown]
-    return {f"{FILM}.gif": gif, f"{FILM}.mp4": mp4, f"{FILM}.json": encode_json({"shown": listed})}
+    return {
+        f"{FILM}.gif": render_gif(shown),
+        f"{FILM}.mp4": render_mp4(shown),
+        f"{FILM}.json": encode_json({"shown": listed}),
+    }
 
 
 def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
@@ -194,16 +199,12 @@ def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles, *, with_r
     )
     if not with_replays:
         return page
-    films: dict[tuple[str, float, str], dict[tuple[int, int], FilmedLink]] = {}
-    for row in page.rows("filmed_links"):
-        films.setdefault((row.environment, row.depth, row.seen_in), {})[row.step, row.link] = row
-    links = {film: list(rows.values()) for film, rows in films.items()}
     in_tank = [
         replay
         for champion in _proposed(page, study)
         for replay in tank_replays(settings, champion, study.execution.engine)
     ]
-    return replace(page, replays=[*replays_of(study, links), *in_tank])
+    return replace(page, replays=[*replays_of(study), *in_tank])
 
 
 def _proposed(page: StudyPage, study: StudyFiles) -> list[Champion]:
@@ -313,7 +314,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
 
 REPORT = Stage(
     name="report",
-    version=18,
+    version=19,
     unit="pictures",
     reads=_reads,
     plan=_plan,

@@ -27,7 +27,7 @@ from tasks.evolution import Deviation
 from tasks.residual import Transitions, split_throws
 from tasks.seeding import generator, replicate_seed
 from tasks.simulation import Rollouts, simulate
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, Medium, Physics
+from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, Physics
 
 
 @dataclass(frozen=True)
@@ -158,9 +158,6 @@ class StudyFiles:
 
     def true_slush(self, depth: float) -> Environment:
         return environments.true_slush(self.spec.simulation.media, depth)
-
-    def true_medium(self) -> Medium:
-        return environments.true_medium(self.spec.simulation.media)
 
     def home(self, champion: Champion) -> Environment:
         networks = environments.home_networks_among(self.inputs, self.trial_of(champion))

@@ -32,6 +32,8 @@ class RunError(ValueError):
 
 LinkPath = tuple[Float64, Float64]  # (n,) times [s] and (n, 3) x, y [m] and angle [rad] of a link
 
+SpeedPrediction = tuple[float, float, float]  # mean over an ensemble's members, and the ends of an interval [m/s]
+
 
 @dataclass(frozen=True, eq=False)
 class BuiltRobot:
@@ -76,19 +78,6 @@ class RobotMotion:
     angle: Float64  # (n_frames, n_joints) of the joints from rest [rad]
     speed: float  # [m/s]
     gaits: tuple[Gait, ...]
-
-
-@dataclass(frozen=True)
-class SpeedPrediction:
-    """The speed that an ensemble predicts of a run [m/s]: the mean over members, and the limits of an interval."""
-
-    mean: float
-    low: float
-    high: float
-
-    def holds(self, value: float) -> bool:
-        """Return whether a value is inside the interval."""
-        return self.low <= value <= self.high
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +306,7 @@ def start_of_run(time: Float64, angle: Float64, commanded_time: Float64, command
 def speed_prediction(predictions: Float64) -> SpeedPrediction:
     """Return the mean of (n_members,) predictions, with two of their standard deviations to either side."""
     mean, spread = float(predictions.mean()), _DEVIATIONS * float(predictions.std())
-    return SpeedPrediction(mean, mean - spread, mean + spread)
+    return mean, mean - spread, mean + spread
 
 
 def steady_speed(time: Float64, x: Float64, period: float) -> float:

@@ -1,8 +1,8 @@
 """The one comparison: two arms of a study, or one arm in two studies, with the interval that decides the verdict.
 
 The interval of the difference of the means is Welch's, because champions of different environments have different
-variances (Student's, where the paper's test is judged). Where trials share throws and networks, it includes the
-variance between replicates. p-values are corrected by Holm's procedure over all rows that are shown together.
+variances. Where trials share throws and networks, it includes the variance between replicates. p-values are corrected
+by Holm's procedure over all rows that are shown together.
 
 A difference *agrees* with none if its whole interval lies within the bounds: the procedure of two one-sided tests
 (Schuirmann 1987) at 2.5 %. It *differs* if the interval lies outside them. Otherwise these trials *cannot tell*: a
@@ -112,17 +112,8 @@ def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, be
     )
 
 
-def difference(
-    x: Sample, y: Sample, *, equal_variances: bool = False, level: float = LEVEL
-) -> tuple[Estimate, float | None]:
-    """Estimate the difference of two means, and return the p-value of its two-sided test.
-
-    Args:
-        x: a group.
-        y: the group that is subtracted.
-        equal_variances: True for Student's test, False for Welch's; nested groups have errors of their own.
-        level: confidence level of the interval.
-    """
+def difference(x: Sample, y: Sample) -> tuple[Estimate, float | None]:
+    """Estimate the difference of the means of x and y, and return the p-value of its two-sided test."""
     if min(len(x), len(y)) == 0:
         return Estimate(None), None
     value = float(x.values.mean() - y.values.mean())
@@ -133,9 +124,9 @@ def difference(
     if is_nested(x, y):
         error = error_of(x, y)
         p = float(2 * scipy.stats.t.sf(abs(value) / math.sqrt(error.variance), error.freedom))
-        return sum_of_means(x, y.scaled(-1), level=level), p
-    test = scipy.stats.ttest_ind(x.values, y.values, equal_var=equal_variances)
-    low, high = test.confidence_interval(level)
+        return sum_of_means(x, y.scaled(-1)), p
+    test = scipy.stats.ttest_ind(x.values, y.values, equal_var=False)
+    low, high = test.confidence_interval(LEVEL)
     return Estimate(value, float(low), float(high)), float(test.pvalue)
 
 

@@ -146,10 +146,12 @@ def is_nested(*samples: Sample) -> bool:
     return any(sample.n_replicates > 1 for sample in samples)
 
 
-def from_replicates_means(sample: Sample) -> Float64:
-    """Return the difference of each value from the mean of its replicate: (n_trials,)."""
+def within_replicates(sample: Sample) -> tuple[float, int]:
+    """Return the variance of trials around the mean of their replicate, and its degrees of freedom."""
     _, own, sizes = np.unique(sample.replicate, return_inverse=True, return_counts=True)
-    return sample.values - (np.bincount(own, sample.values) / np.maximum(sizes, 1))[own]
+    departures = sample.values - (np.bincount(own, sample.values) / np.maximum(sizes, 1))[own]
+    freedom = len(sample) - len(sizes)
+    return float(departures @ departures) / max(freedom, 1), freedom
 
 
 def components(sample: Sample) -> Components:
@@ -162,16 +164,15 @@ def components(sample: Sample) -> Components:
         return Components(n, math.nan, pooled, math.nan, independent)
     if n_replicates == n:
         return Components(1, math.nan, math.nan, math.nan, independent)
-    means = np.bincount(own, y) / sizes
+    means, (msw, freedom_within) = np.bincount(own, y) / sizes, within_replicates(sample)
     msb = float(sizes @ (means - y.mean()) ** 2) / (n_replicates - 1)
-    msw = float(((y - means[own]) ** 2).sum()) / (n - n_replicates)
     k = float(sizes @ sizes) / n
     n0 = (n - k) / (n_replicates - 1)
     f = msb / msw if msw > 0 else math.inf
     if msb <= msw:
         return Components(n0, 0.0, pooled, f, independent)
     parts = msb * k / n0, msw * (1 - k / n0)  # their sum is N var ȳ; the second is 0 in balanced groups
-    freedom = sum(parts) ** 2 / (parts[0] ** 2 / (n_replicates - 1) + parts[1] ** 2 / (n - n_replicates))
+    freedom = sum(parts) ** 2 / (parts[0] ** 2 / (n_replicates - 1) + parts[1] ** 2 / freedom_within)
     return Components(n0, (msb - msw) / n0, msw, f, Error(sum(parts) / n, freedom))
 
 
@@ -182,13 +183,8 @@ def error_of(*samples: Sample) -> Error:
     return Error(variance, variance**2 / sum(error.variance**2 / error.freedom for error in errors))
 
 
-def sum_of_means(*samples: Sample, level: float = LEVEL) -> Estimate:
-    """Estimate the sum of the means of independent groups; of one group, that is its mean.
-
-    Args:
-        *samples: the groups; one that is subtracted is scaled by -1.
-        level: confidence level of the interval.
-    """
+def sum_of_means(*samples: Sample) -> Estimate:
+    """Estimate the sum of the means of independent groups; one that is subtracted is scaled by -1."""
     if min(len(sample) for sample in samples) == 0:
         return MISSING
     value = float(sum(sample.values.mean() for sample in samples))
@@ -196,7 +192,7 @@ def sum_of_means(*samples: Sample, level: float = LEVEL) -> Estimate:
     if constant or min(len(sample) for sample in samples) == 1:
         return Estimate(value)
     error = error_of(*samples)
-    half = float(scipy.stats.t.ppf((1 + level) / 2, error.freedom)) * math.sqrt(error.variance)
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, error.freedom)) * math.sqrt(error.variance)
     return Estimate(value, value - half, value + half)
 
 

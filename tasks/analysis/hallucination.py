@@ -2,7 +2,7 @@
 
 All members learned from the same throws. Where throws were dense they agree and are right; where they disagree, most of
 them are wrong, and evolution exploits a wrong one. None of this needs the true medium. Disagreement does not show an
-error that all members share: see :mod:`tasks.analysis.novelty`.
+error that all members share: see :mod:`tasks.analysis.coverage`.
 
 Entry i of a trace is the state after step i, so predictions from it belong to step i + 1.
 """
@@ -52,18 +52,6 @@ def acceleration(medium: Medium, links: LinkStates, physics: Physics) -> Float64
     return np.stack((change.vx, change.vy, change.omega), axis=-1).astype(np.float64) / physics.time_step
 
 
-def member_accelerations(ensemble: EnsembleMedium, links: LinkStates, physics: Physics) -> Float64:
-    """Return what every member predicts for the same links: (n_members, ..., 3) accelerations [m/s², m/s², rad/s²].
-
-    Args:
-        ensemble: n_members members.
-        links: link states of shape (...).
-        physics: the base simulator's constants.
-    """
-    repeated = (np.broadcast_to(array, (ensemble.n_members, *array.shape)) for array in vars(links).values())
-    return acceleration(ensemble, LinkStates(*repeated), physics)
-
-
 def size(accelerations: Floats, links: LinkStates) -> Float64:
     """Return the root mean square of (..., 3) accelerations over a link's points: (...) [m/s²].
 
@@ -89,5 +77,6 @@ def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, phys
     if ensemble.n_members == 1:
         return np.full(trace.shape[:-1], np.nan, np.float32)
     links = link_states(designs, trace, physics)
-    predicted = member_accelerations(ensemble, links, physics)
+    repeated = (np.broadcast_to(array, (ensemble.n_members, *array.shape)) for array in vars(links).values())
+    predicted = acceleration(ensemble, LinkStates(*repeated), physics)
     return size(predicted.std(axis=0).astype(np.float32), links).astype(np.float32)

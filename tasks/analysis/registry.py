@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from tasks.evolution import Deviation
     from tasks.residual import Transitions
     from tasks.simulation import Rollouts
-    from tasks.world import EnsembleMedium, Environment, Medium, Physics
+    from tasks.world import EnsembleMedium, Environment, Physics
 
 Form = str | Callable[[Any], str]  # a format, such as "{:.1f}", or a function that writes a value
 Section = Literal["transfer", "paper", "networks", "trust", "tank", "more", ""]
@@ -123,9 +123,6 @@ class StudyData(Protocol):
 
     def true_slush(self, depth: float) -> Environment:
         """Return True Slush at a depth [m]."""
-
-    def true_medium(self) -> Medium:
-        """Return its medium."""
 
     def home(self, champion: Champion) -> Environment:
         """Return where a champion evolved; the same object for champions that share it."""

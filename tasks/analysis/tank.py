@@ -91,10 +91,6 @@ class Tank(Parameters):
         """Width of every robot, across both pontoons [m], as built."""
         return self.pontoon_pitch + self.pontoon_thickness
 
-    def lets_pass(self, distance: float) -> bool:
-        """Return whether a robot can cross whose centre of mass must travel a distance [m]."""
-        return distance > 0 and self.robot_width <= self.width
-
     def simulated_servo_torque(self, link_density: float) -> float:
         """Return the servo's torque at the scale of the simulation [N·m], for links of a density [kg/m²].
 
@@ -106,10 +102,6 @@ class Tank(Parameters):
     def n_steps(self, time_step: float) -> int:
         """Return the time limit in steps of time_step [s]."""
         return max(1, round(self.seconds / froude_time(self.scale) / time_step))
-
-    def built_seconds(self, simulated: float) -> float:
-        """Convert a simulated time to one of the built robot [s]."""
-        return simulated * froude_time(self.scale)
 
     def built_speed(self, simulated: float) -> float:
         """Convert a simulated speed to one of the built robot [m/s]."""
@@ -123,7 +115,6 @@ class Crossing:
     length: float  # length of the settled robot along the tank [m]; NaN where it diverged
     height: float  # height of the settled robot [m]; NaN where it diverged
     misfit: str  # why it does not fit into the tank: "too long", "too wide and too high", ...; "" if it fits
-    distance: float  # distance that its centre of mass must travel [m]; at most 0 if the robot is as long as the tank
     travelled: float  # distance that its centre of mass travelled until it crossed or time ran out [m]
     crossed: bool  # whether it crossed in time; False for a robot as long as the tank or wider
     seconds: float  # simulated time until it crossed [s]; NaN if it did not
@@ -190,27 +181,24 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
         tank: the tank.
         n_settle: steps before the motors start, at least 1, because a trace starts after the first step.
         time_step: length of a step [s].
-
-    Raises:
-        ValueError: n_settle is 0, or the trace is missing or of another shape.
     """
-    if n_settle < 1:
-        raise ValueError(f"n_settle is {n_settle}, expected at least 1: traces lack the initial state")
-    if rollouts.trace is None:
-        raise ValueError("the rollouts have no trace, expected one")
-    n_expected = n_settle + tank.n_steps(time_step)
-    if rollouts.trace.shape[:2] != (len(designs), n_expected):
-        raise ValueError(f"the trace has shape {rollouts.trace.shape}, expected ({len(designs)}, {n_expected}, ...)")
+    assert rollouts.trace is not None and n_settle > 0
     trace = rollouts.trace[:, n_settle - 1 :].astype(np.float64)
     cos, sin = np.abs(np.cos(trace[:, 0, :, 2])), np.abs(np.sin(trace[:, 0, :, 2]))
     long, short = designs.length_scale, 1 / designs.length_scale
-    length = _extent(trace[:, 0, :, 0], (sin * long + cos * short) / 2)
-    height = _extent(trace[:, 0, :, 1], (cos * long + sin * short) / 2)
+    lengths = _extent(trace[:, 0, :, 0], (sin * long + cos * short) / 2).tolist()
+    heights = _extent(trace[:, 0, :, 1], (cos * long + sin * short) / 2).tolist()
     centre = trace[..., 0].mean(axis=2)  # every link has the same mass
-    return [
-        _crossing(float(length[i]), float(height[i]), along - along[0], tank, time_step)
-        for i, along in enumerate(centre)
-    ]
+    found = []
+    for length, height, along in zip(lengths, heights, centre, strict=True):
+        travelled, distance = along - along[0], tank.simulated_length - length
+        passes = distance > 0 and tank.robot_width <= tank.width
+        reached = np.flatnonzero(travelled >= distance) if passes else np.array([], dtype=np.int64)
+        last = int(reached[0]) if reached.size else len(travelled) - 1
+        moved, time = float(travelled[last]), last * time_step
+        seconds, speed = time if reached.size else np.nan, moved / max(time, time_step)
+        found.append(Crossing(length, height, _misfit(length, height, tank), moved, bool(reached.size), seconds, speed))
+    return found
 
 
 def _extent(middle: Float64, half: Float64) -> Float64:
@@ -227,24 +215,6 @@ def _misfit(length: float, height: float, tank: Tank) -> str:
         "high": height * tank.scale > tank.height,
     }
     return " and ".join(f"too {words}" for words, is_so in exceeded.items() if is_so)
-
-
-def _crossing(length: float, height: float, travelled: Float64, tank: Tank, time_step: float) -> Crossing:
-    """Find when (n_steps + 1,) distances travelled, 0 at first, reach the distance to travel [m]."""
-    distance = tank.simulated_length - length
-    reached = np.flatnonzero(travelled >= distance) if tank.lets_pass(distance) else np.array([], dtype=np.int64)
-    last = int(reached[0]) if reached.size else len(travelled) - 1
-    time = last * time_step
-    return Crossing(
-        length=length,
-        height=height,
-        misfit=_misfit(length, height, tank),
-        distance=distance,
-        travelled=float(travelled[last]),
-        crossed=bool(reached.size),
-        seconds=time if reached.size else np.nan,
-        speed=float(travelled[last]) / max(time, time_step),
-    )
 
 
 def nearest_the_mean(scores: Float64) -> int | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks.analysis.coverage import coverage, observed_states
 from tasks.analysis.registry import Champion, StudyData, analysis, column
-from tasks.analysis.tables.transfer import environment_name, percent
+from tasks.analysis.tables.transfer import OfTrial, percent
 from tasks.arrays import Float32
 from tasks.design.genes import concatenate
 from tasks.residual.support import deviations
@@ -18,12 +18,9 @@ _N_STATES = 2_000  # of each champion: a share is then known to 2 %
 
 
 @dataclass(frozen=True)
-class ChampionCoverage:
+class ChampionCoverage(OfTrial):
     """How far the states of one champion are from the throws, in all or because of one component."""
 
-    environment: str = column("evolved in", form=environment_name)
-    depth: float = column("depth", "m", form="{:g}")
-    trial: int = column("trial", form="{}")
     component: str = column("component", form="{}", meaning="Of a link's state; all for its whole.")
     n: int = column("states", form="{:,}")
     share_outside: float = column("outside", form=percent, meaning="Share of states outside, chiefly because of it.")

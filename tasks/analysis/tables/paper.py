@@ -8,10 +8,9 @@
 - The statement that single members vary more agrees if the whole interval of the ratio is above 1. Deviations are from
   the replicate's mean, because the paper has one replicate.
 - A range over members agrees if it contains the interval of this run's median member.
-- "No difference" agrees if the difference of the means is shown to be negligible, a fifth of the displacement of the
-  designs evolved in True Slush. "Less" and "greater" agree if the whole interval of the difference has that direction.
-  All statements are one family, judged by Holm's step-down procedure: with n not yet decided, each by an interval of
-  1 - 0.05 / n, until no other is decided (Shaffer 1980). A row has the interval that judged it.
+- Statements about t tests are comparisons of two arms (tasks/analysis/comparison.py), by Welch's test in place of
+  Student's. "No difference" agrees if the difference is shown to be negligible. "Less" and "greater" agree if it has
+  that direction and p < 0.05, corrected by Holm's procedure over all statements.
 
 Numbers that this run did not measure have no row.
 """
@@ -22,31 +21,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
+import scipy
 from numpy.random import Generator
 
 from tasks.analysis import paper as stated
-from tasks.analysis.comparison import VERDICTS, Verdict, difference, judge, p_value
+from tasks.analysis.comparison import VERDICTS, Comparison, Verdict, compare, holm, judge, p_value
 from tasks.analysis.estimates import (
     LEVEL,
     RESOLUTION,
     Estimate,
     Sample,
-    bootstrap,
     components,
     error_of,
-    from_replicates_means,
-    is_constant,
     is_nested,
     linearised,
     ratio,
     sum_of_means,
+    within_replicates,
 )
 from tasks.analysis.paper import DEPTH, N_ASSESSED, N_TRIALS, Figure, Statement
 from tasks.analysis.registry import StudyData, analysis, column
 from tasks.analysis.scores import BEST, Scores, arm_name
 from tasks.analysis.tables.regressions import Accuracy, accuracy_of
-from tasks.arrays import Float64
 
 _FIGURE: Mapping[Figure, str] = {"r": "Pearson's R", "slope": "slope"}
 
@@ -62,7 +58,7 @@ class PaperRow:
     decides: str = column("decides", form="{}", meaning="The interval that decides, and the bounds of what agrees.")
     verdict: Verdict = column("verdict", form="{}")
     value: Estimate = column("value", form="{:z.3g}", shown=False, meaning="This run's, in the unit of what.")
-    p: float | None = column("p", form=p_value, shown=False, meaning="Of Student's t test, as in the paper.")
+    p: float | None = column("p", form=p_value, shown=False, meaning="Of Welch's test, corrected.")
     source: str = column("source", form="{}", shown=False, meaning="Quotation and section of the paper.")
 
 
@@ -87,6 +83,7 @@ def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
     reads=("transfer", "assess"),
     answers="Which results of the paper does this run confirm?",
     section="paper",
+    version=2,
     shown=lambda row: row.kind == "number",
     metrics=_metrics,
 )
@@ -96,7 +93,7 @@ def paper(study: StudyData) -> list[PaperRow]:
     accuracy = (
         accuracy_of(study, study.throw_groups[0]) if study.assessed_depth == DEPTH and study.throw_groups else None
     )
-    numbers = [*_means(scores), *_ratios(scores, rng), *_variation(scores, rng)]
+    numbers = [*_means(scores), *_ratios(scores, rng), *_variation(scores)]
     return [*numbers, *(_figures(accuracy) if accuracy else ()), *_statements(scores)]
 
 
@@ -118,24 +115,17 @@ def _ratios(scores: Scores, rng: Generator) -> Iterator[PaperRow]:
         yield from _number(what, value, "{:z.0%}", source, found, stated.NEGLIGIBLE_RATIO, n, n_paper)
 
 
-def _variation(scores: Scores, rng: Generator) -> Iterator[PaperRow]:
-    """Compare the deviation over trials of single members with that of the ensemble."""
+def _variation(scores: Scores) -> Iterator[PaperRow]:
+    """Compare the deviation over trials of single members with that of the ensemble, by the F distribution."""
     single, ensemble = (scores.sample((arm, "zero_shot"), DEPTH) for arm in ("single_member", "residual_slush"))
-    free = [len(sample) - sample.n_replicates for sample in (single, ensemble)]
-    departures = [from_replicates_means(sample) for sample in (single, ensemble)]
-    if min(free) < 1 or is_constant(departures[1], resolution=RESOLUTION):
+    (x, n_x), (y, n_y) = within_replicates(single), within_replicates(ensemble)
+    if min(n_x, n_y) < 1 or y <= RESOLUTION**2:
         return
-    corrections = [len(x) / n_free for x, n_free in zip(departures, free, strict=True)]
-
-    def deviations_ratio(*means: Float64) -> Float64:  # functions of the means of x and x²
-        x, y = (c * (m[..., 1] - m[..., 0] ** 2) for c, m in zip(corrections, means, strict=True))
-        return np.sqrt(x / np.where(y > 0, y, np.nan))[..., None]
-
-    found = bootstrap(deviations_ratio, *(np.stack((x, x**2), axis=1) for x in departures), rng=rng)[0]
-    verdict = judge(found, 1.0, math.inf) if found.interval else "cannot tell"
+    ends = (math.sqrt(x / y / scipy.stats.f.ppf(tail, n_x, n_y)) for tail in ((1 + LEVEL) / 2, (1 - LEVEL) / 2))
+    found = Estimate(math.sqrt(x / y), *ends)
     what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
     source = '"very high variation in fitness across independent trials", Evolution'
-    this_run = written(found, "{:z.2f}")
+    this_run, verdict = written(found, "{:z.2f}"), judge(found, 1.0, math.inf)
     yield PaperRow("number", what, "above 1", this_run, "the interval, above 1", verdict, found, None, source)
 
 
@@ -189,37 +179,29 @@ def _number(
     yield PaperRow("number", what, form.format(value), written(found, form), decides, verdict, found, None, source)
 
 
-def _statements(scores: Scores) -> list[PaperRow]:
-    """Judge all statements by Holm's step-down procedure."""
-    pending = [
-        (statement, depth)
+def _statements(scores: Scores) -> Iterator[PaperRow]:
+    """Judge the paper's statements about t tests, as one family."""
+    found = [
+        (statement, row)
         for statement in stated.STATEMENTS
-        for depth in statement.depths
-        if min(len(scores.sample(arm, depth)) for arm in (statement.a, statement.b)) > 1
+        for row in compare(scores, scores, [(statement.a, statement.b)])
+        if row.depth in statement.depths and row.p is not None
     ]
-    order, decided = list(pending), dict[tuple[Statement, float], PaperRow]()
-    while pending:
-        level = 1 - (1 - LEVEL) / len(pending)
-        judged = {key: _statement(scores, *key, level) for key in pending}
-        found = {key: row for key, row in judged.items() if row.verdict != "cannot tell"}
-        decided |= found or judged
-        pending = [key for key in pending if key not in decided]
-    return [decided[key] for key in order]
+    corrected = holm([row.p for _, row in found])
+    yield from (_statement(statement, row, p or 0.0) for (statement, row), p in zip(found, corrected, strict=True))
 
 
-def _statement(scores: Scores, statement: Statement, depth: float, level: float) -> PaperRow:
-    a, b = (scores.sample(arm, depth) for arm in (statement.a, statement.b))
-    gap, p = difference(a, b, equal_variances=True, level=level)
-    best = scores.sample(BEST, depth)
-    bound = stated.NEGLIGIBLE * abs(float((best if len(best) else b).values.mean()))
-    verdict = judge(gap, -bound, bound)
-    if statement.claim != "no difference":
-        sign = 1 if statement.claim == "greater" else -1
-        ends = sorted(sign * end for end in gap.interval or (-math.inf, math.inf))
-        verdict = "agrees" if ends[0] > 0 else "differs" if ends[1] < 0 or verdict == "agrees" else "cannot tell"
-    equal, form = statement.claim == "no difference", "{:z.1f}"
-    claim = f"{statement.claim} (p {'>' if equal else '<'} {stated.INSIGNIFICANT if equal else stated.SIGNIFICANT:g})"
-    this_run = f"n = {len(a)} and {len(b)}" + ("" if p is None else f", p = {p:.2g}")
-    decides = f"difference {written(gap, form)} at {level:.1%}, negligible within ± {form.format(bound)}"
-    what = f"{arm_name(statement.a)} against {arm_name(statement.b)} at {depth:g} m [m]"
-    return PaperRow("t test", what, claim, this_run, decides, verdict, gap, p, statement.source)
+def _statement(statement: Statement, row: Comparison, p: float) -> PaperRow:
+    verdict, claim = row.verdict, statement.claim
+    if claim != "no difference":
+        as_claimed = ((row.difference.value or 0.0) > 0) == (claim == "greater")
+        if p < 1 - LEVEL:
+            verdict = "agrees" if as_claimed else "differs"
+        else:
+            verdict = "differs" if verdict == "agrees" else "cannot tell"  # it is negligible
+    limit = f"> {stated.INSIGNIFICANT:g}" if claim == "no difference" else f"< {stated.SIGNIFICANT:g}"
+    what = f"{arm_name(statement.a)} against {arm_name(statement.b)} at {row.depth:g} m [m]"
+    decides = f"difference {written(row.difference, '{:z.1f}')}, negligible within ± {row.bound:.1f}"
+    this_run = f"n = {row.of_a.n} and {row.of_b.n}, p = {p:.2g}"
+    paper = f"{claim} (p {limit})"
+    return PaperRow("t test", what, paper, this_run, decides, verdict, row.difference, p, statement.source)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.tables.transfer import environment_name
+from tasks.analysis.tables.transfer import OfTrial
 from tasks.analysis.tank import Crossing, Tank, TankTrials, count_crossings, crossings, nearest_the_mean, restarted
 from tasks.design import Designs
 from tasks.design.genes import concatenate
@@ -22,12 +22,9 @@ def written_trials(trials: TankTrials) -> str:
 
 
 @dataclass(frozen=True)
-class TankRow:
-    """A champion in the virtual tank; crossings are in units of the simulation, of the first trial."""
+class TankRow(OfTrial):
+    """A champion in the virtual tank."""
 
-    environment: str = column("evolved in", form=environment_name)
-    depth: float = column("depth", "m", form="{:g}")
-    trial: int = column("trial", form="{}")
     proposed: bool = column("to build", form=lambda chosen: "✓" if chosen else "", meaning="Nearest to the mean.")
     zero_shot: float | None = column("True Slush", "m", meaning="Displacement of its root, at its own depth.")
     dry_land: float | None = column("Dry Land", "m", meaning="The same on Dry Land, for as long.")
@@ -35,11 +32,6 @@ class TankRow:
     height_cm: float | None = column("height", "cm", form="{:.0f}")
     misfit: str = column("fit", form=lambda why: why or "fits", meaning="Why it does not fit into the tank.")
     speed_mm_s: float | None = column("speed", "mm/s", form="{:z.0f}", meaning="As built, in the first trial.")
-    motor_torque: float = column("torque", "N·m", shown=False, meaning="Limit of the motors in the simulation.")
-    servo_torque: float = column("servo's torque", "N·m", shown=False, meaning="At the scale of the simulation.")
-    wet: Crossing = column("filled", shown=False)
-    dry: Crossing = column("dry floor", shown=False)
-    dry_servo: Crossing = column("dry floor, servo's torque", shown=False)
     wet_trials: TankTrials = column("in the tank", form=written_trials)
     dry_trials: TankTrials = column("on the dry floor", form=written_trials)
     dry_servo_trials: TankTrials = column("with the servo's torque", form=written_trials)
@@ -64,6 +56,7 @@ def _metrics(rows: Sequence[TankRow]) -> dict[str, float | None]:
     section="tank",
     each="arm",
     needs_tank=True,
+    version=2,
     metrics=_metrics,
     cost=200,
 )
@@ -75,8 +68,7 @@ def tank(study: StudyData) -> list[TankRow]:
     chosen = nearest_the_mean(np.array([champion.zero_shot for champion in champions]))
     designs = concatenate([champion.design for champion in champions])
     on_land = study.simulate(DryLand(depth=champions[0].depth), designs).displacement
-    servo_torque = tank.simulated_servo_torque(physics.link_density)
-    with_servo = physics.model_copy(update={"max_motor_torque": servo_torque})
+    with_servo = physics.model_copy(update={"max_motor_torque": tank.simulated_servo_torque(physics.link_density)})
     filled, drained = study.true_slush(tank.simulated_depth), DryLand(depth=0.0)
     tests: tuple[tuple[Environment, Physics], ...] = ((filled, physics), (drained, physics), (drained, with_servo))
     rows = []
@@ -97,11 +89,6 @@ def tank(study: StudyData) -> list[TankRow]:
                 _known(100 * tank.scale * wet.height),
                 wet.misfit or found[1][0].misfit,
                 _known(1000 * tank.built_speed(wet.speed)),
-                physics.max_motor_torque,
-                servo_torque,
-                found[0][0],
-                found[1][0],
-                found[2][0],
                 *(count_crossings(trials, tank) for trials in found),
             )
         )

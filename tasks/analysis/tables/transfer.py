@@ -25,12 +25,24 @@ def percent(share: float) -> str:
 
 
 @dataclass(frozen=True)
-class ScoreRow:
-    """A champion; what is missing is None."""
+class OfArm:
+    """The first columns of a table about arms."""
 
     environment: str = column("evolved in", form=environment_name)
     depth: float = column("depth", "m", form="{:g}")
+
+
+@dataclass(frozen=True)
+class OfTrial(OfArm):
+    """The first columns of a table about champions."""
+
     trial: int = column("trial", form="{}")
+
+
+@dataclass(frozen=True)
+class ScoreRow(OfTrial):
+    """A champion; what is missing is None."""
+
     replicate: int = column("replicate", form="{}", shown=False, meaning="Of the throws and networks; 0 without any.")
     fitness: float | None = column("fitness", meaning="Where it evolved: μ − kσ for an ensemble.")
     predicted: float | None = column("predicted", "m", meaning="Displacement of the root where it evolved: μ.")
@@ -57,11 +69,9 @@ def score_rows(trials: Sequence[ScoredTrial]) -> list[ScoreRow]:
 
 
 @dataclass(frozen=True)
-class TransferRow:
+class TransferRow(OfArm):
     """The champions of one environment at one depth."""
 
-    environment: str = column("evolved in", form=environment_name)
-    depth: float = column("depth", "m", form="{:g}")
     n: int = column("n", form="{}", meaning="Trials.")
     predicted: Mean = column("predicted", "m", meaning="Where it evolved: for an ensemble the mean μ over its members.")
     sigma: float | None = column("σ", "m", meaning="Mean deviation over the members of an ensemble.")

@@ -5,17 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.tables.transfer import environment_name
+from tasks.analysis.tables.transfer import OfTrial
 from tasks.design.genes import concatenate
 
 
 @dataclass(frozen=True)
-class TransferTest:
+class TransferTest(OfTrial):
     """A champion of one depth at another; None where it diverged."""
 
-    environment: str = column("evolved in", form=environment_name)
-    depth: float = column("depth", "m", form="{:g}", meaning="Where it evolved.")
-    trial: int = column("trial", form="{}")
     tested: float = column("tested at", "m", form="{:g}")
     displacement: float | None = column("displacement", "m")
     com_displacement: float | None = column("of CoM", "m", meaning="Of the centre of mass.")

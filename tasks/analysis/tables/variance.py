@@ -8,15 +8,13 @@ import scipy
 from tasks.analysis.estimates import LEVEL, MISSING, RESOLUTION, Estimate, Sample, components, is_constant
 from tasks.analysis.registry import StudyData, analysis, column
 from tasks.analysis.scores import QUANTITIES
-from tasks.analysis.tables.transfer import environment_name, percent
+from tasks.analysis.tables.transfer import OfArm, percent
 
 
 @dataclass(frozen=True)
-class VarianceRow:
+class VarianceRow(OfArm):
     """The standard deviation of one quantity of one arm, split; None where replicates can't tell its parts apart."""
 
-    environment: str = column("evolved in", form=environment_name)
-    depth: float = column("depth", "m", form="{:g}")
     quantity: str = column("quantity", form=lambda name: QUANTITIES[name])
     n: int = column("n", form="{}", meaning="Trials.")
     n_replicates: int = column("replicates", form="{}")

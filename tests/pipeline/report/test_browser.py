@@ -79,6 +79,11 @@ def choose(browser: Browser, identity: str, value: str) -> None:
 
 def test_the_viewer_plays_to_the_end_and_starts_again(opened):
     first = opened.drawn("stage")
+    choose(opened, "scrub", "1.5")
+    assert opened.evaluate("document.getElementById('time').textContent") == "1.5 / 3.0 s"
+    assert (opened.drawn("stage") != first).any()
+    choose(opened, "scrub", "0")
+    np.testing.assert_array_equal(opened.drawn("stage"), first)
     choose(opened, "speed", "4")
     click(opened, "play")
     assert opened.evaluate("document.getElementById('play').textContent") == "Pause"
@@ -89,16 +94,6 @@ def test_the_viewer_plays_to_the_end_and_starts_again(opened):
     opened.until("parseFloat(document.getElementById('scrub').value) < 2.5")
 
 
-def test_the_viewer_scrubs(opened):
-    choose(opened, "scrub", "1.5")
-    assert opened.evaluate("document.getElementById('time').textContent") == "1.5 / 3.0 s"
-    halfway = opened.drawn("stage")
-    choose(opened, "scrub", "0")
-    assert (opened.drawn("stage") != halfway).any()
-    choose(opened, "scrub", "1.5")
-    np.testing.assert_array_equal(opened.drawn("stage"), halfway)
-
-
 def test_the_viewer_is_drawn_when_it_appears(opened):
     """MLflow shows a page in a frame that has no size at first, and tells the page nothing when it gets one."""
     before = opened.drawn("stage")
@@ -107,18 +102,6 @@ def test_the_viewer_is_drawn_when_it_appears(opened):
     opened.evaluate("stage.parentElement.style.display = ''")
     opened.until("stage.width > 0")
     np.testing.assert_array_equal(opened.drawn("stage"), before)
-
-
-def test_two_robots_have_panes_beside_or_above_one_another(opened):
-    choose(opened, "beside", "")
-    alone = opened.drawn("stage").shape
-    choose(opened, "beside", "0")
-    together = opened.drawn("stage")
-    wide = opened.evaluate("innerWidth") > 600
-    assert (together.shape[0] > alone[0]) != wide
-    assert together.shape[1] == alone[1]
-    halves = np.array_split(together, 2, axis=1 if wide else 0)
-    assert all(len(np.unique(half.reshape(-1, 3), axis=0)) > 20 for half in halves)  # a robot in each, not a blank
 
 
 def test_the_prediction_is_shown_beside_true_slush(opened):
@@ -133,6 +116,7 @@ def test_the_prediction_is_shown_beside_true_slush(opened):
     wide = opened.evaluate("innerWidth") > 600
     first, second = np.array_split(both, 2, axis=1 if wide else 0)
     assert (first.shape == second.shape) and (first != second).any()
+    assert all(len(np.unique(half.reshape(-1, 3), axis=0)) > 20 for half in (first, second))  # a robot in each
     assert (both.shape[0] > alone.shape[0]) != wide
     choose(opened, "overlay", "disagreement")
     legend = opened.evaluate("document.getElementById('legend').textContent")

@@ -4,7 +4,6 @@ import json
 from dataclasses import dataclass
 from html.parser import HTMLParser
 
-import pytest
 from matplotlib.mathtext import MathTextParser
 
 from pipeline.report.render import as_csv, as_html, as_json, as_latex, as_markdown, as_text, written
@@ -104,8 +103,3 @@ def test_files_have_every_column():
     assert first == "residual_slush,3,1.25,0.5,3,-0.04,-1.0,2.0,0.5,agrees,,<k>"
     rows = as_json(Reach, ROWS)
     assert json.loads(json.dumps(rows)) == rows and rows[1]["share"] is None and rows[0]["gain_low"] == -1.0
-
-
-@pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_every_environment_has_a_name_for_readers(name):
-    assert environment_name(name).startswith(ENVIRONMENTS[name].label)

@@ -53,10 +53,6 @@ def test_time_passes_as_in_the_rollout(rollout):
     assert encode(slow)["fps"] == slow.fps
 
 
-def test_a_film_of_another_medium_is_not_of_true_slush(slush_replay):
-    assert slush_replay.in_true_slush and not replace(slush_replay, surroundings="another medium").in_true_slush
-
-
 def test_joints_hold_in_the_replay(slush_replay):
     """Where the parent has a joint, the child's long axis passes, to what Box2D's position correction leaves."""
     child = slush_replay.frames[:, 1:]
@@ -93,39 +89,28 @@ def test_twenty_seconds_take_sixteen_kilobytes(rollout):
     assert len(json.dumps(encode(replay_of(design, trace, n_settle=60, **WORDS)))) < 16_500
 
 
-def test_pose_between_frames_is_a_mix(slush_replay):
-    halfway = slush_replay.at(0.5 / slush_replay.fps)
-    assert halfway == pytest.approx((slush_replay.frames[0] + slush_replay.frames[1]) / 2)
-    assert np.array_equal(slush_replay.at(99.0), slush_replay.frames[-1])
-
-
-def test_a_diverged_rollout_is_refused(rollout):
-    design, trace, _ = rollout
-    broken = trace.copy()
-    broken[-1, 3, 1] = np.nan
-    with pytest.raises(ValueError, match="'a robot': the rollout diverged"):
-        replay_of(design, broken, n_settle=0, **WORDS)
-
-
-def test_a_wrong_trace_is_named(rollout):
-    design, trace, _ = rollout
-    with pytest.raises(ValueError, match=r"shape \(240, 5, 6\), expected \(n_steps, 6, 6\)"):
-        replay_of(design, trace[:, :5], n_settle=0, **WORDS)
-    with pytest.raises(ValueError, match="expected at least 242 steps, got 240"):
-        replay_of(design, trace, n_settle=240, **WORDS)
-    with pytest.raises(ValueError, match="expected one design, got 2"):
-        replay_of(design[[0, 0]], trace, n_settle=0, **WORDS)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda design, trace: (design, np.where(np.arange(6) == 1, np.nan, trace), 0), "the rollout diverged"),
+        (lambda design, trace: (design, trace[:, :5], 0), r"shape \(240, 5, 6\), expected \(n_steps, 6, 6\)"),
+        (lambda design, trace: (design, trace, 240), "expected at least 242 steps, got 240"),
+        (lambda design, trace: (design[[0, 0]], trace, 0), "expected one design, got 2"),
+    ],
+)
+def test_what_can_not_be_shown_is_named(rollout, change, message):
+    design, trace, n_settle = change(*rollout[:2])
+    with pytest.raises(ValueError, match=f"'a robot': .*{message}"):
+        replay_of(design, trace, n_settle=n_settle, **WORDS)
 
 
 @pytest.mark.parametrize("n_settle", [0, 1, 7])
-def test_the_shortest_rollout_that_settings_allow_is_the_shortest_that_can_be_shown(rollout, n_settle):
+def test_the_shortest_rollout_that_settings_allow_can_be_shown(rollout, n_settle):
     """One frame is none: nothing moves in it."""
     design, trace, _ = rollout
     n_measure = 3 if n_settle == 0 else 2
     n_steps = RolloutSettings(n_settle=n_settle, n_measure=n_measure).n_settle + n_measure
     assert len(replay_of(design, trace[:n_steps], n_settle=n_settle, **WORDS).frames) == 2
-    with pytest.raises(ValueError, match=f"expected at least {n_steps} steps, got {n_steps - 1}"):
-        replay_of(design, trace[: n_steps - 1], n_settle=n_settle, **WORDS)
     with pytest.raises(ValueError, match=f"n_measure is {n_measure - 1}.*expected n_measure of at least {n_measure}"):
         RolloutSettings(n_settle=n_settle, n_measure=n_measure - 1)
 
@@ -156,11 +141,3 @@ def test_a_push_keeps_its_direction_when_it_is_too_long(slush_replay):
 def test_an_overlay_of_another_length_is_refused(slush_replay):
     with pytest.raises(ValueError, match=r"doubt.*expected"):
         replace(slush_replay, overlays=(Overlay("doubt", "", np.zeros((3, 6))),))
-
-
-def test_a_harmless_overlay_stays_pale(slush_replay):
-    values = np.full(slush_replay.frames.shape[:2], 0.1)
-    encoded = encode(replace(slush_replay, overlays=(Overlay("novelty", "× usual", values, darkest_at_least=1.0),)))
-    levels = np.frombuffer(base64.b64decode(encoded["overlays"][0]["levels"]), np.uint8)
-    assert encoded["overlays"][0]["most"] == 1.0
-    assert set(levels) == {25}  # 0.1 of 254

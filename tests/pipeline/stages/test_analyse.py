@@ -130,18 +130,6 @@ def test_champions_repeat_the_scores_of_evolution_and_transfer(tables, scores):
     }
 
 
-def test_links_cover_every_step_of_the_champion_that_the_page_shows(settings, tables, scores):
-    n_steps = settings.rollout.n_settle + settings.rollout.n_measure
-    for environment in ARMS:
-        links = tables[f"filmed_links/{environment}/1m"]
-        best = max((t for e, _, t in scores if e == environment), key=lambda t: scores[environment, 1.0, t].zero_shot)
-        assert set(links["trial"]) == {best} and set(links["seen_in"]) == {"true_slush", environment}
-        for seen_in in set(links["seen_in"]):
-            of = links["seen_in"] == seen_in
-            assert links["step"][of].tolist() == [step for step in range(n_steps) for _ in range(6)]
-            assert links["link"][of].tolist() == [*range(6)] * n_steps
-
-
 def test_a_study_without_networks_gets_what_needs_none(settings, study, tables):
     """Its trials are the study's own, so the store holds them; only the analysis is new."""
     store, upstream = study
@@ -153,7 +141,7 @@ def test_a_study_without_networks_gets_what_needs_none(settings, study, tables):
         name: len(table["depth"]) for name, table in computed(without, upstream, store).items() if "depth" in table
     }
     assert found["scores"] == 4 and found["transfer_tests"] == 4
-    assert not {"exploiters", "member_errors", "filmed_links/dry_land/1m"} & set(found)
+    assert not {"exploiters", "champion_coverage/dry_land/1m"} & set(found)
 
 
 def test_failed_trials_leave_the_rest(settings, study):
@@ -166,14 +154,6 @@ def test_failed_trials_leave_the_rest(settings, study):
     scores = tables["scores"]
     status = dict(zip(rows(scores, "environment", "trial"), scores["status"].tolist(), strict=True))
     assert status["dry_land", 1] == "not done" and status["true_slush", 1] == "ok"
-    assert len(tables["filmed_links/dry_land/1m"]["step"]) == 0 < len(tables["filmed_links/true_slush/1m"]["step"])
-
-
-def test_champions_that_diverge_in_true_slush_are_shown_where_they_evolved(settings, study):
-    store, upstream = study
-    tables = computed(settings, upstream, store, with_scores(zero_shot=None, zero_shot_com=None))
-    links = tables["filmed_links/residual_slush/1m"]
-    assert set(links["seen_in"]) == {"residual_slush"} and len(links["step"]) == 25 * 6
 
 
 def test_trials_whose_designs_all_diverged_leave_empty_tables(settings, study):
@@ -202,7 +182,7 @@ def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_
     store, upstream = study
     summary = ANALYSE.summarise(settings, upstream["analyse"], store)
     assert summary.of_study
-    assert {"scores.csv", "contrasts.csv", "exploiters.csv", "member_errors.csv"} <= set(summary.artifacts)
+    assert {"scores.csv", "contrasts.csv", "exploiters.csv"} <= set(summary.artifacts)
     metrics = ("accuracy.r.mean", "accuracy.slope.mean_less_1_sd", "hallucinated.worst_champion")
     assert {"ratio_to_true_slush.zero_shot.residual_slush.1m", *metrics} <= set(summary.metrics)
     assert max(map(len, summary.lines)) <= 100

@@ -163,7 +163,7 @@ def test_the_arms_are_contrasted_and_attributed(sets):
     contrasts = analysed(store, upstream, "contrasts")
     pairs = set(zip(contrasts["a"].tolist(), contrasts["b"].tolist(), strict=True))
     assert ("designed_throws/zero_shot", "residual_slush/zero_shot") in pairs
-    assert "designed_throws" in analysed(store, upstream, "attribution")["environment"]
+    assert "designed_throws" in analysed(store, upstream, "transfer")["environment"]
 
 
 def test_the_variance_is_split_where_trials_depend_on_replicates(sets):

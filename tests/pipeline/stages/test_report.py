@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 
 from pipeline.report.render import typeset
-from pipeline.stages.analyse import read_columns
 from pipeline.stages.environments import MEMBER
-from pipeline.stages.part import PartId
 from pipeline.stages.replays import replays_of
 from pipeline.stages.report import ANALYSED, EVOLUTION, FILM, PAGE, REPORT
 from pipeline.stages.study_data import StudyFiles, data_spec
 from pipeline.stages.transfer import SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.encoding import decode_json, encode_json
-from pipeline.store.tables import rows_of
-from pipeline.workflow.identity import Arm, InputName, trials_of
+from pipeline.workflow.identity import trials_of
 from pipeline.workflow.stage import Execution, Failure
-from tasks.analysis.tables import ANALYSES
 
 
 def inputs_of(store, item):
@@ -37,19 +33,10 @@ def inputs(study, settings):
     return inputs_of(store, item_of(PAGE, settings, upstream))
 
 
-def links_of(inputs):
-    one, links = ANALYSES["filmed_links"], {}
-    for environment in ("true_slush", "dry_land", "residual_slush", "single_member"):
-        files = inputs[InputName(ANALYSED, PartId("filmed_links", Arm(environment, 1.0)))]
-        for row in rows_of(one.row, read_columns(files, one)):
-            links.setdefault((row.environment, row.depth, row.seen_in), []).append(row)
-    return links
-
-
-def best(settings, inputs, links):
+def best(settings, inputs):
     """The replays of the best champions, by where they evolved and where they are seen."""
     study = StudyFiles(data_spec(settings, trials_of(settings, "transfer")), Execution(), inputs)
-    return {(one.environment, one.seen_in): one for one in replays_of(study, links) if one.best}
+    return {(one.environment, one.seen_in): one for one in replays_of(study) if one.best}
 
 
 def with_scores(inputs, **changes):
@@ -62,8 +49,7 @@ def with_scores(inputs, **changes):
 
 
 def test_the_best_of_every_arm_is_seen_in_true_slush_and_where_it_evolved(settings, inputs):
-    links = links_of(inputs)
-    found = best(settings, inputs, links)
+    found = best(settings, inputs)
     at_home = {name: seen_in for name, seen_in in found if seen_in.startswith("Residual Slush (member ")}
     arms = ("true_slush", "dry_land", "residual_slush", "single_member")
     assert set(at_home) == {"residual_slush", "single_member"}
@@ -71,27 +57,27 @@ def test_the_best_of_every_arm_is_seen_in_true_slush_and_where_it_evolved(settin
     for (_, seen_in), replay in found.items():
         assert replay.hallucinated == seen_in.startswith("Residual")
         assert (replay.push is None) == (seen_in == "Dry Land")
-        assert [overlay.unit for overlay in replay.overlays] == ["m/s²", "× typical"]
+        assert [overlay.unit for overlay in replay.overlays] == ["m/s²"]
     home, slush = found["residual_slush", at_home["residual_slush"]], found["residual_slush", "True Slush"]
     assert home.title == slush.title and not np.array_equal(home.push, slush.push)
 
 
 def test_without_networks_and_analysis_there_is_what_needs_none(settings, inputs):
     bare = {name: files for name, files in inputs.items() if name.role not in (MEMBER, ANALYSED)}
-    found = best(settings, bare, {})
+    found = best(settings, bare)
     assert set(found) == {("dry_land", "Dry Land"), *((name, "True Slush") for name in ("true_slush", "dry_land"))}
     assert not any(replay.overlays for replay in found.values())
 
 
 def test_replays_take_as_long_as_in_the_simulation(settings, inputs):
     slow = settings.model_copy(update={"physics": settings.physics.model_copy(update={"time_step": 0.05})})
-    for replay in best(slow, inputs, {}).values():
+    for replay in best(slow, inputs).values():
         assert replay.duration == pytest.approx(settings.rollout.n_measure * 0.05)
 
 
 def test_champions_without_scores_in_true_slush_are_shown_where_they_evolved(settings, inputs):
     unseen = with_scores(inputs, zero_shot=None, zero_shot_com=None)
-    assert {seen_in for _, seen_in in best(settings, unseen, {})} & {"True Slush"} == set()
+    assert {seen_in for _, seen_in in best(settings, unseen)} & {"True Slush"} == set()
 
 
 def test_there_is_one_film_and_a_replay_of_every_champion(study, settings):

@@ -33,7 +33,7 @@ def test_an_edit_of_another_module_does_not_count():
     for module in (
         "pipeline.stages.train",
         "tasks.residual.training",
-        "tasks.analysis.novelty",
+        "tasks.analysis.hallucination",
         "pipeline.report.page",
     ):
         assert digest_with({module: b"EDITED = 1\n"}) == digest_with({})

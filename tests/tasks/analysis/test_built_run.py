@@ -7,7 +7,6 @@ from tasks.analysis.built_run import (
     BuiltRobot,
     RunError,
     check_frequency,
-    check_robot,
     compare_with_simulation,
     fit_gait,
     joint_angles,
@@ -138,15 +137,6 @@ def test_joints_that_do_not_follow_the_timeline_have_no_start(crane):
         start_of_run(TIME, jammed, line.time, line.angle)
 
 
-def test_links_of_one_part_are_as_far_apart_as_at_rest(crane):
-    x, y, _ = rest_pose(crane)
-    links = {link: np.tile(0.07 * np.array([x[0, link], y[0, link]]), (5, 1)) for link in (0, 2, 3)}
-    check_robot(crane, links, 0.07)
-    links[3] = links[3] + (0.05, 0.05)
-    with pytest.raises(RunError, match=r"links 2 and 3 are .* is this the kit of another robot"):
-        check_robot(crane, links, 0.07)
-
-
 @pytest.mark.parametrize(("frequency", "right"), [(0.8, True), (0.83, True), (1.2, False), (0.45, False)])
 def test_a_gait_of_another_frequency_is_not_of_this_kit(frequency, right):
     angle = np.sin(2 * np.pi * frequency * TIME)[:, None]
@@ -173,6 +163,4 @@ def test_the_swing_of_the_gait_does_not_count_as_speed():
 
 
 def test_a_prediction_is_two_deviations_to_either_side():
-    prediction = speed_prediction(np.array([1.0, 3.0]))
-    assert (prediction.low, prediction.mean, prediction.high) == (0.0, 2.0, 4.0)
-    assert prediction.holds(0.1) and not prediction.holds(4.1)
+    assert speed_prediction(np.array([1.0, 3.0])) == (2.0, 0.0, 4.0)

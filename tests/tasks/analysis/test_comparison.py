@@ -26,13 +26,12 @@ def test_a_worked_example():
     assert gap.high - gap.value == pytest.approx(stats.t.ppf(0.975, 4) * math.sqrt(2 / 3))
 
 
-@pytest.mark.parametrize("equal_variances", [True, False])
-def test_the_interval_holds_0_where_scipys_test_finds_nothing(equal_variances):
+def test_the_interval_holds_0_where_scipys_test_finds_nothing():
     draw, significant = np.random.default_rng(6), []
     for shift in np.linspace(0, 3, 50):
         a, b = draw.normal(shift, 1, 8), draw.normal(0, 2, 5)
-        gap, p = difference(sample(a), sample(b), equal_variances=equal_variances)
-        assert p == stats.ttest_ind(a, b, equal_var=equal_variances).pvalue
+        gap, p = difference(sample(a), sample(b))
+        assert p == stats.ttest_ind(a, b, equal_var=False).pvalue
         significant.append(p < 0.05)
         assert (gap.low > 0 or gap.high < 0) == significant[-1]
     assert 0 < sum(significant) < len(significant)

@@ -16,7 +16,6 @@ from tasks.analysis.estimates import (
     bootstrap,
     components,
     error_of,
-    from_replicates_means,
     is_constant,
     is_nested,
     linearised,
@@ -25,6 +24,7 @@ from tasks.analysis.estimates import (
     ratio,
     sample_of,
     sum_of_means,
+    within_replicates,
 )
 
 NAN = float("nan")
@@ -116,7 +116,7 @@ def test_failed_trials_are_left_out_with_their_replicates():
     whole = sample([1.0, NAN, 3.0, 4.0], [0, 1, 0, 1])
     assert whole.values.tolist() == [1, 3, 4] and whole.replicate.tolist() == [0, 0, 1]
     assert not is_nested(sample([1.0, NAN, 3.0], [0, 1, 0]))
-    assert from_replicates_means(sample([1, 3, 10, 12, 5], [0, 0, 2, 2, 1])).tolist() == [-1, 1, -1, 1, 0]
+    assert within_replicates(sample([1, 3, 10, 12, 5], [0, 0, 2, 2, 1])) == (2.0, 2)  # ± 1 twice, in three replicates
 
 
 @pytest.mark.parametrize(("values", "expected"), [([], MISSING), ([3.0], Estimate(3.0)), ([2.0, 2.0], Estimate(2.0))])

@@ -15,10 +15,8 @@ from tasks.analysis.tables.regressions import accuracy
 
 DEPTHS = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0)
 N_STATEMENTS = sum(len(statement.depths) for statement in STATEMENTS)
-JOINT = 1 - 0.05 / N_STATEMENTS  # level at which the first of the paper's t tests are judged
 SAME = "Dry Land adapted against True Slush at 0.5 m [m]"
 LESS = "Dry Land adapted against True Slush at 4 m [m]"
-GREATER = "Residual Slush zero-shot against Dry Land adapted at 9 m [m]"
 
 
 def like_the_paper(n=10, best=13.6, n_replicates=1, **changes):
@@ -86,15 +84,6 @@ def test_intervals_include_the_variance_between_replicates_which_counts_in_full_
     assert f"({low:z.0f}% to {high:z.0f}%)" in row.decides
 
 
-def test_the_deviation_over_trials_is_that_within_replicates():
-    draw, replicate = np.random.default_rng(1), np.arange(12) % 3
-    single, ensemble = draw.normal(0, [[4.0], [1.0]], (2, 12)) + 50.0 * replicate
-    values = {("single_member", 9.0): single, ("residual_slush", 9.0): ensemble}
-    row = rows_of(study_of(values, n_replicates=3))["deviation over trials, single member / ensemble, zero-shot at 9 m"]
-    within = [math.sqrt(components(Sample(of, replicate)).within) for of in (single, ensemble)]
-    assert row.value.value == pytest.approx(within[0] / within[1]) and row.value.value > 2
-
-
 def test_what_was_not_measured_has_no_row():
     assert paper(study_of({("true_slush", 1.0): [3.0, 4.0]})) == []
     one = rows_of(like_the_paper(n=1))
@@ -102,54 +91,45 @@ def test_what_was_not_measured_has_no_row():
 
 
 @pytest.mark.parametrize(
-    ("n", "dry_land", "verdict"),
+    ("what", "n", "dry_land", "verdict"),
     [
-        (10, (13.5, 1.0), "agrees"),  # bound 2.72 m, half width 3.61 √(2 / 10) = 1.61 m at most: t(18) at JOINT
-        (10, (11.5, 1.0), "cannot tell"),  # p = 0.0002: a difference, but perhaps a negligible one
-        (10, (8.0, 1.0), "differs"),
-        (4, (13.5, 3.0), "cannot tell"),  # p = 0.9 shows nothing
-        (4, (3.0, 1.0), "differs"),
+        (SAME, 10, (13.5, 1.0), "agrees"),  # bound 2.72 m, half width 2.1 √(2 / 10) = 0.94 m: t(18)
+        (SAME, 10, (11.5, 1.0), "cannot tell"),  # p = 0.0002: a difference, but perhaps a negligible one
+        (SAME, 10, (8.0, 1.0), "differs"),
+        (SAME, 4, (13.5, 3.0), "cannot tell"),  # p = 0.9 shows nothing
+        (LESS, 10, (4.8, 1.0), "agrees"),
+        (LESS, 10, (12.0, 1.0), "agrees"),  # p = 0.002, times the seven statements of no difference and itself
+        (LESS, 10, (14.0, 1.0), "differs"),  # no more than negligibly less, or greater
+        (LESS, 4, (12.0, 2.0), "cannot tell"),
+        (LESS, 4, (20.0, 1.0), "differs"),  # greater
     ],
 )
-def test_a_statement_of_no_difference(n, dry_land, verdict):
-    row = rows_of(like_the_paper(n, adapted={("dry_land", 0.5): dry_land}))[SAME]
-    assert row.verdict == verdict and row.paper == "no difference (p > 0.01)"
+def test_a_statement_about_a_t_test(what, n, dry_land, verdict):
+    depth = 0.5 if what == SAME else 4.0
+    row = rows_of(like_the_paper(n, adapted={("dry_land", depth): dry_land}))[what]
+    assert (row.verdict, row.paper) == (verdict, "no difference (p > 0.01)" if what == SAME else "less (p < 0.0001)")
 
 
-@pytest.mark.parametrize(
-    ("n", "dry_land", "verdict"),
-    [
-        (10, (4.8, 1.0), "agrees"),
-        (10, (12.0, 1.0), "agrees"),  # p = 0.002, which is enough for the last of them
-        (10, (14.0, 1.0), "differs"),  # no more than negligibly less, or greater
-        (4, (12.0, 1.0), "cannot tell"),
-        (4, (20.0, 1.0), "differs"),
-    ],
-)
-def test_a_statement_of_a_difference(n, dry_land, verdict):
-    row = rows_of(like_the_paper(n, adapted={("dry_land", 4.0): dry_land}))[LESS]
-    assert row.verdict == verdict and row.paper == "less (p < 0.0001)"
-
-
-def test_a_statement_in_the_other_direction_differs():
-    assert rows_of(like_the_paper(zero_shot={("residual_slush", 9.0): (-5.0, 1.0)}))[GREATER].verdict == "differs"
-
-
-def test_a_t_test_has_the_interval_that_judges_it_and_students_p():
-    """-8.8 m, and ± t(18) · 1 · √(2 / 10) of deviations of 1 and ten trials each, at the joint level."""
+def test_a_t_test_is_welchs_with_its_interval_corrected_over_all_statements():
+    """-8.8 m, and ± t(18) · 1 · √(2 / 10) of deviations of 1 and ten trials each."""
     row = rows_of(like_the_paper())[LESS]
-    half = stats.t.ppf((1 + JOINT) / 2, 18) * math.sqrt(2 / 10)
-    found = row.value
-    assert (found.low, found.value, found.high) == pytest.approx((-8.8 - half, -8.8, -8.8 + half))
-    assert row.decides.startswith("difference -8.8 (-10.4 to -7.2) at 99.8%") and row.p < 1e-4
+    half = stats.t.ppf(0.975, 18) * math.sqrt(2 / 10)
+    assert (row.value.low, row.value.value, row.value.high) == pytest.approx((-8.8 - half, -8.8, -8.8 + half))
+    one = 2 * stats.t.sf(8.8 / math.sqrt(2 / 10), 18)
+    arms = {("true_slush", 4.0): spread(13.6, 1, 10), ("dry_land", 4.0): spread(0, 1, 10)}
+    (alone,) = paper(study_of(arms, adapted={("dry_land", 4.0): spread(4.8, 1, 10)}))
+    assert alone.p == pytest.approx(one) and alone.value == row.value and 2 * one < row.p < 1e-4
 
 
-def test_a_statement_is_judged_the_easier_the_more_others_are_decided():
-    """p = 0.0096 is below 0.05 once the others are decided, and above 0.05 / n while n of them are not."""
-    alone = {("dry_land", 4.0): (12.3, 1.0)}
-    assert rows_of(like_the_paper(adapted=alone))[LESS].verdict == "agrees"
-    vague = {(arm, d): (4.0, 9.0) for d in (1.0, 1.5, 2.0, 2.5, 3.0) for arm in ("true_slush", "residual_slush")}
-    assert rows_of(like_the_paper(zero_shot=vague, adapted={**vague, **alone}))[LESS].verdict == "cannot tell"
+def test_the_deviation_over_trials_is_that_within_replicates_with_the_interval_of_the_f_test():
+    draw, replicate = np.random.default_rng(1), np.arange(12) % 3
+    single, ensemble = draw.normal(0, [[4.0], [1.0]], (2, 12)) + 50.0 * replicate
+    values = {("single_member", 9.0): single, ("residual_slush", 9.0): ensemble}
+    row = rows_of(study_of(values, n_replicates=3))["deviation over trials, single member / ensemble, zero-shot at 9 m"]
+    x, y = (components(Sample(of, replicate)).within for of in (single, ensemble))
+    ends = tuple(math.sqrt(x / y / stats.f.ppf(tail, 9, 9)) for tail in (0.975, 0.025))
+    assert row.value.value == pytest.approx(math.sqrt(x / y)) and row.value.interval == pytest.approx(ends)
+    assert row.verdict == "agrees"
 
 
 def test_figures_of_the_networks_are_compared_at_the_papers_depth():

@@ -1,15 +1,14 @@
-"""Tables that are made of scores alone: transfer, attribution and variance."""
+"""Tables that are made of scores alone: transfer and variance."""
 
 import math
 
 import numpy as np
 import pytest
 from scipy import stats
-from scores_of import study_of
+from scores_of import scores_of, study_of
 
 from tasks.analysis.estimates import MISSING, Mean
-from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.attribution import attribution
+from tasks.analysis.scores import BEST, ScoredTrial, Scores, arm_name
 from tasks.analysis.tables.transfer import papers_mean, score_rows, transfer, transfer_rows
 from tasks.analysis.tables.variance import variance
 
@@ -50,28 +49,18 @@ def test_scores_list_every_trial_with_none_for_what_is_missing():
     assert (rows[0].zero_shot, rows[0].adapted, rows[1].status) == (2.0, None, "not done")
 
 
+def test_arms_are_listed_the_deepest_first_and_trials_by_number_with_their_replicates():
+    table = scores_of({("dry_land", 1.0): [0], ("true_slush", 1.0): [0], ("dry_land", 9.0): [0]})
+    assert table.arms() == [("dry_land", 9.0), ("true_slush", 1.0), ("dry_land", 1.0)]
+    trials = [ScoredTrial("residual_slush", 9.0, k, k % 2 + 5, zero_shot=z) for k, z in ((2, 2.0), (0, 0.0), (1, NAN))]
+    found = Scores.of(trials).sample(("residual_slush", "zero_shot"), 9.0)
+    assert (found.values.tolist(), found.replicate.tolist()) == ([0.0, 2.0], [5, 5])
+    assert (arm_name(BEST), arm_name(("dry_land", "adapted"))) == ("True Slush", "Dry Land adapted")
+
+
 def test_the_papers_means_are_at_its_depth_alone():
     assert papers_mean("residual_slush", "zero_shot", 9.0) == pytest.approx(0.67 * 13.6)
     assert papers_mean("residual_slush", "zero_shot", 3.0) is None is papers_mean("single_member", "adapted", 9.0)
-
-
-def test_a_gap_is_split_into_controller_and_body():
-    """The gap is 10 - 2 = 8; a new controller recovers 5, and 3 are the body's."""
-    zero_shot = {E: [9.0, 10.0, 11.0], ("dry_land", 9.0): [1.0, 2.0, 3.0]}
-    (row,) = attribution(study_of(zero_shot, adapted={("dry_land", 9.0): [6.0, 8.0, 7.0]}))
-    parts = (row.gap.value, row.lost_to_controller.value, row.lost_to_body.value)
-    assert parts == pytest.approx((8, 5, 3)) and (row.environment, row.depth, row.n) == ("dry_land", 9.0, 3)
-    assert (row.recovered_zero_shot.value, row.recovered_adapted.value) == pytest.approx((0.2, 0.7))
-    # Trials keep their pairs: the controller's part has the interval of the differences 5, 6 and 4.
-    half = stats.t.ppf(0.975, 2) / math.sqrt(3)
-    assert row.lost_to_controller.interval == pytest.approx((5 - half, 5 + half))
-
-
-def test_a_trial_without_adaptation_is_in_no_split_but_in_its_share():
-    zero_shot = {E: [9.0, 11.0], ("dry_land", 9.0): [1.0, 3.0, 5.0]}
-    (row,) = attribution(study_of(zero_shot, adapted={("dry_land", 9.0): [6.0, NAN, 7.0]}))
-    assert row.n == 2 and row.recovered_zero_shot.value == pytest.approx(0.3)
-    assert attribution(study_of({("dry_land", 9.0): [1.0]})) == []
 
 
 def test_variance_of_a_worked_example():
