@@ -151,20 +151,21 @@ def coverage(pilots: Pilots) -> Figure:
     """Draw a panel for each data set: a bar for each component and kind of robot."""
     if not pilots:
         raise NothingToDraw
-    figure = Figure(figsize=(FIGURE_WIDTH, 1.9 * len(pilots) + 0.7), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.8 * len(pilots) + 1.0), layout="constrained")
     panels = figure.subplots(len(pilots), 1, sharex=True, squeeze=False).ravel()
     for panel, (words, by_robots) in zip(panels, pilots.items(), strict=True):
+        whole = []
         for number, (seen_in, rows) in enumerate(by_robots.items()):
             shares = {row.component: 100 * row.share_outside for row in rows}
             y = [k + 0.2 * (2 * number - 1) for k in range(len(OBSERVATION))]
-            whole = f"{_SEEN_IN[seen_in]}: {shares[EVERYTHING]:.0f} %"
             bars = [shares[name] for name in OBSERVATION]
-            panel.barh(y, bars, height=0.36, color=ENVIRONMENTS[seen_in].color, label=whole)
+            panel.barh(y, bars, height=0.36, color=ENVIRONMENTS[seen_in].color, label=_SEEN_IN[seen_in])
+            whole.append(f"{shares[EVERYTHING]:.0f} %")
         panel.set_yticks(range(len(OBSERVATION)), _LABELS)
         panel.invert_yaxis()
-        panel.set_title(_DATA_SETS.get(words, words))
-        panel.legend(loc="best", fontsize=7)
+        panel.set_title(f"{_DATA_SETS.get(words, words)}: {' and '.join(whole)} outside")
     panels[-1].set_xlabel("share of the states outside the throws [%]")
+    legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=1)
     return figure
 
 
@@ -186,7 +187,7 @@ def champion_coverage(rows: Sequence[ChampionCoverage], scores: Sequence[ScoreRo
     for name, own in points.items():
         style = ENVIRONMENTS[name]
         look: dict[str, Any] = {"marker": style.marker, "color": style.color, "label": style.label}
-        axes.plot(*zip(*own, strict=True), ms=4, mew=0, ls="none", alpha=0.6, **look)
+        axes.plot(*zip(*own, strict=True), ms=6, mew=0, ls="none", alpha=0.6, **look)
     axes.axhline(0, color=INK, lw=0.8)
     axes.set_xlabel("share of a champion’s states outside the throws [%]")
     axes.set_ylabel("predicted − true displacement [m]")

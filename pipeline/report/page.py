@@ -22,6 +22,7 @@ from pipeline.report.network_figures import Pilots, ThrowPaths
 from pipeline.report.render import as_csv, as_html, typeset
 from pipeline.report.replay import Replay, encode
 from pipeline.report.transfer_figures import Curves
+from pipeline.store.tables import csv_of, described, text
 from tasks.analysis import paper
 from tasks.analysis.registry import Analysis, Assessed
 from tasks.analysis.tables import ANALYSES
@@ -176,13 +177,18 @@ def _html(address: Callable[[Any], str], one: Analysis, rows: Sequence[Any], dep
 
 
 def tables_of(page: StudyPage) -> dict[str, bytes]:
-    """Return every table of readable size as CSV, by file name, with the meaning of all columns."""
-    files = {
-        f"{name}.csv": as_csv(ANALYSES[name].row, rows)
-        for name, rows in page.tables.items()
-        if 0 < len(rows) <= _MOST_ROWS_OF_CSV
-    }
-    return files
+    """Return every table of readable size as CSV, by file name, and the unit and meaning of every column."""
+    readable = {name: rows for name, rows in page.tables.items() if 0 < len(rows) <= _MOST_ROWS_OF_CSV}
+    if not readable:
+        return {}
+    columns = [
+        (name, column, about.get("unit", ""), about.get("meaning", "") or about.get("label", ""))
+        for name in readable
+        for column, about in described(ANALYSES[name].row).items()
+    ]
+    sheet = dict(zip(("table", "column", "unit", "meaning"), map(text, zip(*columns, strict=True)), strict=True))
+    files = {f"{name}.csv": as_csv(ANALYSES[name].row, rows) for name, rows in readable.items()}
+    return {"columns.csv": csv_of(sheet), **files}
 
 
 def _shown(one: Analysis, rows: Sequence[Any]) -> list[tuple[float | None, list[Any]]]:

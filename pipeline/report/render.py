@@ -89,9 +89,9 @@ def _write(value: Any, form: str | Callable[[Any], str]) -> str:
 
 
 def typeset(text: str) -> str:
-    """Set minus signs, and a number and its unit on one line."""
+    """Set minus signs, and a number with its sign and its unit on one line."""
     text = re.sub(r"(?<=\d)%", " %", re.sub(r"(?<![\w.])-(?= ?\d)", "−", text))
-    return re.sub(r"(?<=\d) (?=(m|%|cm|mm/s)\b|%)", "\u00a0", text)
+    return re.sub(r"(?<=\d) (?=(m|%|cm|mm/s)\b|%)|(?<=within ±) ", "\u00a0", text)
 
 
 def as_html(

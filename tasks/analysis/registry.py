@@ -5,12 +5,10 @@ Parquet file, ``study.table(name)``, the CSV, MLflow's artifact, and the table o
 of a frozen dataclass, described here and nowhere else::
 
     @dataclass(frozen=True)
-    class Reach:
-        environment: str = column("evolved in")
-        depth: float = column("depth", "m", form="{:g}")
-        longest: float = column("longest robot", "m", meaning="Greatest extent of a champion at rest.")
+    class Reach(OfTrial):
+        longest: float = column("longest link", "m", meaning="Long axis of a champion's longest link.")
 
-    @analysis("reach", reads=("transfer",), answers="How long are the champions?", section="transfer")
+    @analysis("reach", reads=("transfer",), answers="How long are the champions' links?", section="more")
     def reach(study: StudyData) -> list[Reach]: ...
 """
 

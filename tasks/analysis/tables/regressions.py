@@ -32,13 +32,18 @@ def ensemble_name(group: str) -> str:
     )
 
 
+def predictor_name(name: str) -> str:
+    """Write a predictor by its symbol, if it is an aggregate of the members."""
+    return {MEAN: "μ", CAUTIOUS: "μ − σ"}.get(name, name)
+
+
 @dataclass(frozen=True)
 class Regression:
     """True displacement = intercept + slope · predicted displacement, over designs that diverged in neither."""
 
     learned_from: str = column("ensemble", form=ensemble_name, meaning="Settings group of the throws it learned from.")
-    name: str = column("predictor", form="{}", meaning="A member, their mean μ, or μ less a deviation over members.")
-    n: int = column("designs", form="{:,}")
+    name: str = column("by", form=predictor_name, meaning="A member, their mean μ, or μ less a deviation over members.")
+    n: int = column("designs", form="{:,}", shown=False)
     n_left_out: int = column("left out", form="{:,}", shown=False, meaning="Designs that diverged in either.")
     n_resampled: int = column("trials", form="{}", shown=False, meaning="What the intervals count as samples.")
     n_replicates: int = column("replicates", form="{}", shown=False)

@@ -77,6 +77,7 @@ def test_two_arms_of_a_study_are_compared_in_every_kind_of_file(root, tmp_path, 
         out = tmp_path / f"arms{suffix}"
         assert call("compare", "tiny", *arms, "--out", str(out)) == 0
         assert row.verdict in capsys.readouterr().out and row.verdict in out.read_text()
+        assert f"got {out}, which exists" in refused(capsys, "compare", "tiny", *arms, "--out", str(out))
     (listed,) = (one for one in json.loads((tmp_path / "arms.json").read_text()) if one["a"].endswith("zero_shot"))
     assert listed["difference"] == row.difference.value and listed["p"] == row.p
 
@@ -134,7 +135,7 @@ def test_studies_with_other_physics_are_compared_with_a_caution(settings, root, 
         (("other", "tin"), "study 'tin': "),
         (("tiny", "--arms", "dry_land", "mud"), "got 'mud'"),
         (("tiny", "other", "--out", "missing/page.html"), "in an existing folder"),
-        (("tiny", "other", "--out", "page.pdf"), "expected a file that ends in .html, .md"),
+        (("tiny", "other", "--out", "page.pdf"), "expected a new file that ends in .html, .md"),
         (("tiny", "new"), "at the same depth: expected some in both, got"),
     ],
 )

@@ -88,12 +88,6 @@ def test_it_is_whole_and_nothing_is_fetched(html, study, drawn):
     assert targets <= set(page.ids) | {replay.robot for replay in study.replays}
 
 
-def test_it_says_what_each_environment_of_the_study_is(html):
-    said = {name: kind.about for name, kind in ENVIRONMENTS.items() if kind.about}
-    there = [name for name, about in said.items() if f"<dd>{about}</dd>" in unescape(html)]
-    assert there == ["true_slush", "dry_land", "residual_slush", "single_member"]
-
-
 def test_the_first_screen_has_the_result_the_bars_and_the_best_arm_in_its_film(html, study):
     first = html[html.index("<header") : html.index("</header>")]
     assert first.count('<p class="finding">') == 1
@@ -137,6 +131,8 @@ def test_the_transfer_table_is_of_the_greatest_depth_and_others_fold(html):
     measured = ["6.5 ± 0.7", "9.0 ± 1.4", "75\u00a0%", "11.0 ± 0.0", "92\u00a0%"]
     assert learned == ["Residual Slush, Ê", "2", *measured, "9.1", "11.8"]
     assert "At 1 other depth" in html[html.index('id="table-transfer"') :]
+    there = [name for name, kind in ENVIRONMENTS.items() if f"<dd>{kind.about}</dd>" in unescape(html)]
+    assert there == ["true_slush", "dry_land", "residual_slush", "single_member"]
 
 
 def test_a_diverged_champion_is_counted_out(study, drawn):
@@ -205,7 +201,8 @@ def test_what_a_study_does_not_have_is_left_out(study, html):
 
 def test_tables_can_be_downloaded(study):
     tables = {name: data.decode().splitlines() for name, data in tables_of(study).items()}
-    assert set(tables) == {f"{name}.csv" for name, rows in study.tables.items() if rows}
+    assert set(tables) == {"columns.csv", *(f"{name}.csv" for name, rows in study.tables.items() if rows)}
+    assert 'transfer,zero_shot,m,"Displacement of the root in True Slush, as it is."' in tables["columns.csv"]
     assert tables["scores.csv"][0].startswith("environment,depth,trial,")
     assert len(tables["contrasts.csv"]) == len(study.rows("contrasts")) + 1
 

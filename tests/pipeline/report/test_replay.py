@@ -53,19 +53,6 @@ def test_time_passes_as_in_the_rollout(rollout):
     assert encode(slow)["fps"] == slow.fps
 
 
-def test_joints_hold_in_the_replay(slush_replay):
-    """Where the parent has a joint, the child's long axis passes, to what Box2D's position correction leaves."""
-    child = slush_replay.frames[:, 1:]
-    parent = slush_replay.parent[1:]
-    above = slush_replay.frames[:, parent]
-    along = slush_replay.parent_attachment[1:] * slush_replay.length_scale[parent] / 2
-    joint = above[..., :2] + along[:, None] * np.stack([-np.sin(above[..., 2]), np.cos(above[..., 2])], axis=-1)
-    # Seen from the child, the joint lies on its long axis: its local x is 0.
-    offset = joint - child[..., :2]
-    local_x = np.cos(child[..., 2]) * offset[..., 0] + np.sin(child[..., 2]) * offset[..., 1]
-    assert np.abs(local_x).max() < 0.05
-
-
 def test_encoding_stays_within_half_a_quantum(slush_replay):
     encoded = encode(slush_replay)
     assert encoded["quantum"] == QUANTUM

@@ -150,17 +150,6 @@ def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_pa
         begun.ensemble()
 
 
-def test_a_study_that_needs_no_networks_says_so(opened):
-    grid = opened.settings.grid.model_copy(
-        update={"environments": ("true_slush", "dry_land"), "single_member_depths": ()}
-    )
-    bare = replace(opened, settings=opened.settings.model_copy(update={"grid": grid}))
-    with pytest.raises(
-        PuddleError, match=r"has no networks: its grid.environments are true_slush, dry_land, expected one that learns"
-    ):
-        bare.ensemble()
-
-
 def test_a_damaged_history_is_named(recorded, tmp_path):
     root = shutil.copytree(recorded, tmp_path / "store")
     record = Store.open(root, create=False).read_study("tiny")

@@ -43,12 +43,6 @@ def test_states_of_a_trace_are_those_that_the_engine_shows_a_medium():
         assert getattr(links, name)[0, :, :-1] == pytest.approx(seen, abs=2e-6), name  # Box2D has its own cosine
 
 
-def test_traces_of_other_designs_are_refused():
-    designs = random_designs(2, np.random.default_rng(0))
-    with pytest.raises(ValueError, match=r"trace has shape \(3, 5, 6, 6\), expected \(..., 2 designs, n_steps, "):
-        link_states(designs, np.zeros((3, 5, 6, 6), np.float32), PHYSICS)
-
-
 def test_trained_members_are_asked_about_the_same_links(study):
     rng = np.random.default_rng(0)
     scales = {
