@@ -27,7 +27,7 @@ from tasks.arrays import Float64
 from tasks.world import ENVIRONMENTS
 
 _CURVE_POINTS = 120  # generations drawn per fitness curve
-_MOST_DEPTHS = 4  # panels of fitness curves
+_MOST_DEPTHS = 4  # panels of fitness curves, and depths that fit into a panel of half the width
 
 _TRANSFERS = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
 
@@ -86,8 +86,7 @@ def transfer_across_depths(rows: Sequence[TransferRow]) -> Figure:
     drawn = [name for name in _TRANSFERS if any(getattr(row, name).value is not None for row in rows)]
     if len(listed) < 2 or not drawn:
         raise NothingToDraw
-    figure = Figure(figsize=(FIGURE_WIDTH, 2.8 * len(drawn) + 1.0), layout="constrained")
-    panels = figure.subplots(len(drawn), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    figure, panels = panel_grid(len(drawn), 2 if len(listed) <= _MOST_DEPTHS else 1, row_height=2.6)
     present = [name for name in ENVIRONMENTS if any(row.environment == name for row in rows)]
     for panel, quantity in zip(panels, drawn, strict=True):
         for number, name in enumerate(present):
@@ -102,7 +101,7 @@ def transfer_across_depths(rows: Sequence[TransferRow]) -> Figure:
         panel.set_title(_TRANSFERS[quantity])
         panel.grid(axis="y")
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
-    panels[-1].set_xlabel("depth [m]")
+    figure.supxlabel("depth [m]")
     figure.supylabel("displacement in True Slush [m]")
     styles = [ENVIRONMENTS[name] for name in present]
     handles = [Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label) for style in styles]

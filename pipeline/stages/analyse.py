@@ -113,7 +113,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             rows: Sequence[Any] = rows_of(one.row, columns)
             metrics |= one.metrics(rows)
             if one.section in _IN_TERMINAL and (shown := [row for row in rows if one.shown(row)]):
-                lines += ["", one.answers, *as_text(one.row, shown)]
+                lines += ["", one.answers, *as_text(one.row, shown, without=("decides",))]
     known = {name: value for name, value in metrics.items() if value is not None and isfinite(value)}
     counted = ", ".join(f"{name} ({len(next(iter(joined(own).values()))):,})" for name, own in parts.items())
     lines = [*textwrap.wrap(f"rows of the tables of study {settings.name}: {counted}", 78), *lines]

@@ -55,7 +55,9 @@ class PaperRow:
     what: str = column("what", form="{}")
     paper: str = column("paper", form="{}")
     this_run: str = column("this run (95 %)", form="{}")
-    decides: str = column("decides", form="{}", meaning="The interval that decides, and the bounds of what agrees.")
+    decides: str = column(
+        "decides", form="{}", meaning="The interval that decides, of the difference Δ, and the bounds."
+    )
     verdict: Verdict = column("verdict", form="{}")
     value: Estimate = column("value", form="{:z.3g}", shown=False, meaning="This run's, in the unit of what.")
     p: float | None = column("p", form=p_value, shown=False, meaning="Of Welch's test, corrected.")
@@ -174,7 +176,7 @@ def _number(
     if found.interval is not None:
         low, high = (off + wider * (end - found.value) for end in found.interval)
         gap = Estimate(off, low, high)
-    decides = f"difference {written(gap, form)}, within ± {form.format(bound)}"
+    decides = f"Δ {written(gap, form)}, within ± {form.format(bound)}"
     verdict = judge(gap, -bound, bound)
     yield PaperRow("number", what, form.format(value), written(found, form), decides, verdict, found, None, source)
 
@@ -184,7 +186,7 @@ def _statements(scores: Scores) -> Iterator[PaperRow]:
     found = [
         (statement, row)
         for statement in stated.STATEMENTS
-        for row in compare(scores, scores, [(statement.a, statement.b)])
+        for row in reversed(compare(scores, scores, [(statement.a, statement.b)]))
         if row.depth in statement.depths and row.p is not None
     ]
     corrected = holm([row.p for _, row in found])
@@ -201,7 +203,7 @@ def _statement(statement: Statement, row: Comparison, p: float) -> PaperRow:
             verdict = "differs" if verdict == "agrees" else "cannot tell"  # it is negligible
     limit = f"> {stated.INSIGNIFICANT:g}" if claim == "no difference" else f"< {stated.SIGNIFICANT:g}"
     what = f"{arm_name(statement.a)} against {arm_name(statement.b)} at {row.depth:g} m [m]"
-    decides = f"difference {written(row.difference, '{:z.1f}')}, negligible within ± {row.bound:.1f}"
+    decides = f"Δ {written(row.difference, '{:z.1f}')}, negligible within ± {row.bound:.1f}"
     this_run = f"n = {row.of_a.n} and {row.of_b.n}, p = {p:.2g}"
     paper = f"{claim} (p {limit})"
     return PaperRow("t test", what, paper, this_run, decides, verdict, row.difference, p, statement.source)
