@@ -265,7 +265,8 @@ def _section(found: re.Match[str], page: Path) -> str:
     results = json.loads((ROOT / file).read_text(encoding="utf-8"))
     made = results.get("made_with") or results.get("provenance") or results["machine"]
     link = f"[{Path(file).name}]({relpath(ROOT / file, page.parent)})"
-    where = f"{link}, commit {made['commit'][:7]}, {made.get('cpu', 'AMD EPYC')}"
+    commit, changed = made["commit"][:7], " with changes" if made["commit"].endswith("-dirty") else ""
+    where = f"{link}, commit {commit}{changed}, {made.get('cpu', 'AMD EPYC')}"
     kind, tabulate = TABLES[name]
     table = as_markdown(kind, list(tabulate(results)))
     return f"<!-- table {name} of {file} -->\n{table}\n*{where}*\n<!-- end -->"
