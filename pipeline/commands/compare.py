@@ -70,7 +70,7 @@ def comparison_lines(compared: "Compared") -> Iterator[str]:
     if compared.caution:
         yield compared.caution
     yield ""
-    yield from as_text(Comparison, compared.rows)
+    yield from as_text(Comparison, compared.rows, compared.without, width=_WIDTH)
     counts = Counter(row.verdict for row in compared.rows)
     listed = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
     yield f"\n{len(compared.rows)} comparisons: {listed}. They agree if the interval lies within what is negligible."

@@ -26,9 +26,9 @@ from pipeline.report.drawing import (
 from tasks.analysis.coverage import EVERYTHING, CoverageRow
 from tasks.analysis.estimates import Estimate
 from tasks.analysis.registry import Assessed
+from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.champion_coverage import ChampionCoverage
 from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemble_name
-from tasks.analysis.tables.transfer import ScoreRow
 from tasks.arrays import Float64, Int64
 from tasks.residual import OBSERVATION
 from tasks.world import ENVIRONMENTS
@@ -169,17 +169,14 @@ def coverage(pilots: Pilots) -> Figure:
     return figure
 
 
-def champion_coverage(rows: Sequence[ChampionCoverage], scores: Sequence[ScoreRow]) -> Figure:
+def champion_coverage(rows: Sequence[ChampionCoverage], scores: Sequence[ScoredTrial]) -> Figure:
     """Draw a point for each champion: how much of what it does is outside the throws, and what it fails to keep."""
-    known = {
-        (one.environment, one.depth, one.trial): one.predicted - one.zero_shot
-        for one in scores
-        if one.predicted is not None and one.zero_shot is not None
-    }
+    known = {(one.environment, one.depth, one.trial): one.predicted - one.zero_shot for one in scores}
     points: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        if row.component == EVERYTHING and (key := (row.environment, row.depth, row.trial)) in known:
-            points.setdefault(row.environment, []).append((100 * row.share_outside, known[key]))
+        short = known.get((row.environment, row.depth, row.trial), np.nan)
+        if row.component == EVERYTHING and np.isfinite(short):
+            points.setdefault(row.environment, []).append((100 * row.share_outside, short))
     if not points:
         raise NothingToDraw
     figure = Figure(figsize=(FIGURE_WIDTH, 3.6), layout="constrained")

@@ -24,9 +24,9 @@ from pipeline.report.replay import Replay, encode
 from pipeline.report.transfer_figures import Curves
 from pipeline.store.tables import csv_of, described, text
 from tasks.analysis import paper
-from tasks.analysis.registry import Analysis, Assessed
+from tasks.analysis.registry import Analysis, Assessed, percent
 from tasks.analysis.tables import ANALYSES
-from tasks.analysis.tables.transfer import TransferRow, papers_mean, percent
+from tasks.analysis.tables.transfer import TransferRow, papers_mean
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
 from tasks.world import ENVIRONMENTS
 

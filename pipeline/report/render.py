@@ -20,7 +20,7 @@ from pipeline.text import escape
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.estimates import Estimate, Mean
 
-_WIDTH = 78  # of a table in a terminal [characters], if its words can be broken so far
+_WIDTH = 78  # usual width of a terminal, which a table exceeds where its words can't be broken so far
 _MOST_CHARACTERS = (34, 28, 22, 16, 12)  # of a line of words there; the first that fits
 NONE = "–"  # stands where there is no value
 MARKS = dict(zip(VERDICTS, "✓≠?", strict=True))  # so that colour is not the only difference
@@ -56,7 +56,7 @@ class Written:
 def written(kind: type, rows: Sequence[Any], without: Sequence[str] = ()) -> Written:
     """Write the columns that readers see, without some that are said elsewhere."""
     shown = [one for one in fields(kind) if one.metadata["shown"] and one.name not in without]
-    shown = [one for one in shown if any(getattr(row, one.name) not in _ABSENT for row in rows)]
+    shown = [one for one in shown if not all(_is_absent(getattr(row, one.name)) for row in rows)]
     units = [one.metadata["unit"] for one in shown]
     labels = [one.metadata["label"] for one in shown]
     return Written(
@@ -67,11 +67,12 @@ def written(kind: type, rows: Sequence[Any], without: Sequence[str] = ()) -> Wri
     )
 
 
-_ABSENT = (None, "", Estimate(None), Mean(None))
+def _is_absent(value: Any) -> bool:
+    return value in (None, "", Estimate(None), Mean(None)) or value != value  # NaN
 
 
 def _cell(value: Any, form: str | Callable[[Any], str]) -> Cell:
-    if value in _ABSENT:
+    if _is_absent(value):
         return Cell()
     if isinstance(value, Estimate):
         ends = [_write(end, form) for end in value.interval or ()]
@@ -135,12 +136,12 @@ def as_html(
     return Markup(f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">{content}</div>')
 
 
-def as_text(kind: type, rows: Sequence[Any], without: Sequence[str] = ()) -> list[str]:
-    """Return lines for a terminal, with words wrapped and numbers aligned to the right."""
+def as_text(kind: type, rows: Sequence[Any], without: Sequence[str] = (), *, width: int = _WIDTH) -> list[str]:
+    """Return lines for a terminal of a width [characters], with words wrapped and numbers aligned to the right."""
     table = written(kind, rows, without)
     for most in _MOST_CHARACTERS:
         columns = [_laid_out(table, column, most) for column in range(len(table.names))]
-        if sum(len(column[0][0]) + 2 for column in columns) <= _WIDTH + 2:
+        if sum(len(column[0][0]) + 2 for column in columns) <= width + 2:
             break
     lines = []
     for cells in zip(*columns, strict=True):

@@ -22,7 +22,9 @@ from pipeline.report.drawing import (
     show_at_least,
 )
 from tasks.analysis import paper
-from tasks.analysis.tables.transfer import ScoreRow, TransferRow, papers_mean
+from tasks.analysis.estimates import finite
+from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.tables.transfer import TransferRow, papers_mean
 from tasks.arrays import Float64
 from tasks.world import ENVIRONMENTS
 
@@ -32,7 +34,7 @@ _MOST_DEPTHS = 4  # panels of fitness curves, and depths that fit into a panel o
 _TRANSFERS = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
 
 
-def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoreRow]) -> Figure:
+def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]) -> Figure:
     """Draw a bar for every arm at the greatest depth: mean ± 1 SD in True Slush, the trials, the paper's mean."""
     known = [row for row in rows if row.zero_shot.value is not None]
     if not known:
@@ -50,7 +52,7 @@ def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoreRow]) -
             if mean.value is None:
                 continue
             own = [one for one in scores if (one.environment, one.depth) == (row.environment, depth)]
-            values = [value for one in own if (value := getattr(one, quantity)) is not None]
+            values = finite(np.array([getattr(one, quantity) for one in own]))
             adapted = quantity == "adapted"
             color = style.adapted_color if adapted else style.color
             axes.bar(center, mean.value, 0.62, ec=style.color, lw=1.0, fc=color, hatch="////" if adapted else "")

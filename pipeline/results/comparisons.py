@@ -7,7 +7,7 @@ from pipeline.report.comparison_page import Compared
 from pipeline.results.recorded_study import Study
 from pipeline.workflow.record import setting_changes
 from tasks.analysis.comparison import compare
-from tasks.analysis.scores import QUANTITIES
+from tasks.analysis.scores import QUANTITIES, arms
 from tasks.world import ENVIRONMENTS
 
 _OF_DISPLACEMENT = ("physics", "slush", "rollout")  # settings groups that decide what a displacement is
@@ -23,8 +23,8 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
     for arm in (a, b):
         if arm not in known:
             raise PuddleError(f"--arms: expected arms of study {study.name} ({', '.join(known)}), got {arm!r}")
-    scores = study.scores()
-    rows = compare(scores, scores, [((a, quantity), (b, quantity)) for quantity in QUANTITIES])
+    trials = study.trials()
+    rows = compare(trials, trials, [((a, quantity), (b, quantity)) for quantity in QUANTITIES])
     if not rows:
         raise PuddleError(f"study {study.name}: {a} and {b} have no champions at the same depth yet")
     names = [ENVIRONMENTS[arm].label for arm in (a, b)]
@@ -43,15 +43,15 @@ def compare_studies(a: Study, b: Study) -> Compared:
     changes = [(one.name, json.dumps(one.new), json.dumps(one.old)) for one in setting_changes(of_b, of_a)]
     pairs = [((name, quantity), (name, quantity)) for name in ENVIRONMENTS for quantity in QUANTITIES]
     pairs.remove((("true_slush", "predicted"),) * 2)  # which is zero-shot
-    rows = compare(a.scores(), b.scores(), pairs)
+    rows = compare(a.trials(), b.trials(), pairs)
     if not rows:
-        arms = [", ".join(f"{name} at {depth:g} m" for name, depth in study.scores().arms()) for study in (a, b)]
+        listed = [", ".join(f"{name} at {depth:g} m" for name, depth in arms(study.trials())) for study in (a, b)]
         raise PuddleError(
             f"studies {a.name} and {b.name} have no champions of the same environment at the same depth: expected "
-            f"some in both, got {arms[0] or 'none'} in {a.name} and {arms[1] or 'none'} in {b.name}"
+            f"some in both, got {listed[0] or 'none'} in {a.name} and {listed[1] or 'none'} in {b.name}"
         )
     physical = [name for name, _, _ in changes if name.split(".")[0] in _OF_DISPLACEMENT]
     caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
     same = a.store.root == b.store.root
     side_a, side_b = (f"study {one.name}{'' if same else f', in {one.store.root}'}" for one in (a, b))
-    return Compared(f"{a.name} against {b.name}", side_a, side_b, changes, rows, caution)
+    return Compared(f"{a.name} against {b.name}", side_a, side_b, changes, rows, caution, without=("b",))

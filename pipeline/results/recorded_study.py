@@ -26,7 +26,7 @@ from pipeline.workflow.identity import trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.recorded import RecordedResults, recorded_results
 from pipeline.workflow.stage import Upstream
-from tasks.analysis.scores import ScoredTrial, Scores
+from tasks.analysis.scores import ScoredTrial
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
 
@@ -160,10 +160,6 @@ class Study:
         last = len(_CHAMPION_FIELDS) - 1
         schema = _CHAMPION_FIELDS.set(last, _CHAMPION_FIELDS.field("fitness").with_metadata(of_fitness))
         return pa.Table.from_pylist(rows, schema=schema)
-
-    def scores(self) -> Scores:
-        """Return the displacements of all trials, each with the replicate that it depends on."""
-        return Scores.of(self.trials())
 
     def trials(self) -> list[ScoredTrial]:
         """Return what is known of every trial's champion."""

@@ -77,7 +77,7 @@ def _mean(mean: Mean) -> dict[str, Any]:
 
 
 def _rounded(value: Any) -> Any:
-    return round(value, _DIGITS) if isinstance(value, float) else value
+    return (None if value != value else round(value, _DIGITS)) if isinstance(value, float) else value
 
 
 def _digest(study: Study, stage: str) -> str:

@@ -20,7 +20,7 @@ from pipeline.store.encoding import decode_json
 from pipeline.workflow.identity import InputName, TrialId, arms_of
 from pipeline.workflow.stage import Execution, Input, Inputs, Upstream
 from tasks.analysis.registry import Assessed, Champion
-from tasks.analysis.scores import ScoredTrial, Scores
+from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tank import Tank
 from tasks.design import Designs
 from tasks.evolution import Deviation
@@ -132,10 +132,6 @@ class StudyFiles:
     def trials(self) -> Sequence[ScoredTrial]:
         return [scored_trial(trial, self.inputs.get(InputName(SCORED, trial))) for trial in self.spec.trials]
 
-    @property
-    def scores(self) -> Scores:
-        return Scores.of(list(self.trials))
-
     @cached_property
     def champions(self) -> Sequence[Champion]:
         found = []
@@ -154,7 +150,7 @@ class StudyFiles:
         table = read_predictions(shares)
         trial = [f"{environment}/{k}" for environment, k in zip(table["environment"], table["trial"], strict=True)]
         replicate = table["trial"] % self.spec.trials[0].n_replicates
-        return Assessed(table["predicted"].T, table["true"], trial, replicate, table)
+        return Assessed(table["predicted"].T, table["true"], trial, replicate)
 
     def true_slush(self, depth: float) -> Environment:
         return environments.true_slush(self.spec.simulation.media, depth)

@@ -32,7 +32,7 @@ from tasks.analysis.estimates import (
 )
 from tasks.analysis.paper import NEGLIGIBLE
 from tasks.analysis.registry import column
-from tasks.analysis.scores import BEST, ScoredArm, Scores, arm_name
+from tasks.analysis.scores import BEST, ScoredArm, ScoredTrial, arm_name, sample
 from tasks.world import ENVIRONMENTS
 
 Verdict = Literal["agrees", "differs", "cannot tell"]
@@ -63,9 +63,9 @@ def written_arm(arm: str) -> str:
 class Comparison:
     """Two groups of champions at one depth; b is the reference."""
 
-    depth: float = column("depth", "m", form="{:g}")
     a: str = column("A", form=written_arm, meaning="Environment where A evolved, and the quantity.")
     b: str = column("B", form=written_arm, meaning="The same of B, the reference.")
+    depth: float = column("depth", "m", form="{:g}")
     n_replicates: int = column("replicates", form="{}", shown=False, meaning="The larger number of both groups.")
     of_a: Mean = column("mean of A", "m")
     of_b: Mean = column("mean of B", "m")
@@ -76,20 +76,22 @@ class Comparison:
     verdict: Verdict = column("verdict", form="{}", meaning="Whether the difference is negligible.")
 
 
-def compare(a: Scores, b: Scores, pairs: Sequence[tuple[ScoredArm, ScoredArm]]) -> list[Comparison]:
+def compare(
+    a: Sequence[ScoredTrial], b: Sequence[ScoredTrial], pairs: Sequence[tuple[ScoredArm, ScoredArm]]
+) -> list[Comparison]:
     """Compare arms of one study, or of two, at every depth where both have champions, the greatest depth first.
 
     Args:
-        a: champions of A.
-        b: champions of B, the reference; the same object for arms of one study.
+        a: the trials of A.
+        b: the trials of B, the reference; the same for arms of one study.
         pairs: an arm of A and one of B each.
     """
-    depths = sorted(set(a.depths()) & set(b.depths()), reverse=True)
+    depths = sorted({one.depth for one in a} & {one.depth for one in b}, reverse=True)
     rows = [
-        _compared(a.sample(of_a, depth), b.sample(of_b, depth), of_a, of_b, depth, b.sample(BEST, depth))
+        _compared(x, y, of_a, of_b, depth, sample(b, BEST, depth))
         for depth in depths
         for of_a, of_b in pairs
-        if len(a.sample(of_a, depth)) and len(b.sample(of_b, depth))
+        if len(x := sample(a, of_a, depth)) and len(y := sample(b, of_b, depth))
     ]
     return [replace(row, p_holm=p) for row, p in zip(rows, holm([row.p for row in rows]), strict=True)]
 
@@ -98,9 +100,9 @@ def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, be
     gap, p = difference(x, y)
     bound = NEGLIGIBLE * abs(float((best if len(best) else y).values.mean()))
     return Comparison(
-        depth,
         "/".join(a),
         "/".join(b),
+        depth,
         max(x.n_replicates, y.n_replicates),
         mean_of(x.values),
         mean_of(y.values),

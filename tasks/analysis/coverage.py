@@ -50,12 +50,8 @@ def observed_states(
 
     Returns:
         Observations in the order of OBSERVATION.
-
-    Raises:
-        ValueError: the rollouts have no traces.
     """
-    if rollouts.trace is None:
-        raise ValueError("rollouts without traces, expected the state after each step")
+    assert rollouts.trace is not None
     trace = rollouts.trace.reshape(-1, *rollouts.trace.shape[-4:])[:, :, n_settle::_EVERY]
     length_scale = np.broadcast_to(designs.length_scale[None, :, None, :], trace.shape[:-1])
     _, y, angle, vx, vy, omega = np.moveaxis(trace, -1, 0)

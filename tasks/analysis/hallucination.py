@@ -11,7 +11,6 @@ import numpy as np
 
 from tasks.arrays import Float32, Float64, Floats
 from tasks.design import Designs, kinematic_trees
-from tasks.residual import STATE
 from tasks.world import EnsembleMedium, LinkStates, Medium, Physics
 
 
@@ -22,14 +21,7 @@ def link_states(designs: Designs, trace: Floats, physics: Physics) -> LinkStates
         designs: n_designs designs.
         trace: (..., n_designs, n_steps, n_links, 6) in the order of STATE, as in :class:`Rollouts`.
         physics: the base simulator's constants.
-
-    Raises:
-        ValueError: the trace has another shape.
     """
-    n_designs, n_links = designs.length_scale.shape
-    if trace.ndim < 4 or (trace.shape[-4], *trace.shape[-2:]) != (n_designs, n_links, len(STATE)):
-        expected = f"(..., {n_designs} designs, n_steps, {n_links} links, {len(STATE)})"
-        raise ValueError(f"trace has shape {trace.shape}, expected {expected}")
     trees = kinematic_trees(designs, density=physics.link_density)
     shape = trace.shape[:-1]
     length_scale, mass, inertia = (

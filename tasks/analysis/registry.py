@@ -15,14 +15,16 @@ of a frozen dataclass, described here and nowhere else::
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from tasks.analysis.scores import ScoredTrial, Scores
+    from tasks.analysis.scores import ScoredTrial
     from tasks.analysis.tank import Tank
     from tasks.arrays import Float64, Int64
     from tasks.design import Designs
@@ -36,7 +38,9 @@ Section = Literal["transfer", "paper", "networks", "trust", "tank", "more", ""]
 """Section of the page that shows a table; in those of "" it is a download alone."""
 
 
-def column(label: str, unit: str = "", *, form: Form = "{:z.1f}", meaning: str = "", shown: bool = True) -> Any:
+def column(
+    label: str, unit: str = "", *, form: Form = "{:z.1f}", meaning: str = "", shown: bool = True, default: Any = MISSING
+) -> Any:
     """Describe a column: the field of a row.
 
     Args:
@@ -45,8 +49,36 @@ def column(label: str, unit: str = "", *, form: Form = "{:z.1f}", meaning: str =
         form: how a number is written for a reader.
         meaning: a sentence, where the label does not say it all.
         shown: whether readers see it; otherwise it is in files alone.
+        default: value of rows that do not give it.
     """
-    return field(metadata={"label": label, "unit": unit, "form": form, "meaning": meaning, "shown": shown})
+    return field(
+        default=default, metadata={"label": label, "unit": unit, "form": form, "meaning": meaning, "shown": shown}
+    )
+
+
+def environment_name(name: str) -> str:
+    """Write an environment with its symbol."""
+    return f"{ENVIRONMENTS[name].label}, {ENVIRONMENTS[name].symbol}"
+
+
+def percent(share: float) -> str:
+    """Write a share in whole per cent."""
+    return f"{100 * share:z.0f} %"
+
+
+@dataclass(frozen=True)
+class OfArm:
+    """The first columns of a table about arms."""
+
+    environment: EnvironmentName = column("evolved in", form=environment_name)
+    depth: float = column("depth", "m", form="{:g}")
+
+
+@dataclass(frozen=True)
+class OfTrial(OfArm):
+    """The first columns of a table about champions."""
+
+    trial: int = column("trial", form="{}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +102,6 @@ class Assessed:
     true: Float64  # (n_designs,) [m]; NaN where diverged
     trial: Sequence[str]  # (n_designs,) the trial of each, which are samples
     replicate: Int64  # (n_designs,)
-    columns: Mapping[str, Any]  # environment, depth, trial, generation, identity: (n_designs,) each
 
 
 class StudyData(Protocol):
@@ -107,10 +138,6 @@ class StudyData(Protocol):
     @property
     def trials(self) -> Sequence[ScoredTrial]:
         """Every trial, with what is known of it."""
-
-    @property
-    def scores(self) -> Scores:
-        """The displacements of the trials, as columns."""
 
     @property
     def champions(self) -> Sequence[Champion]:

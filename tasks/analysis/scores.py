@@ -1,14 +1,14 @@
 """Scores: the displacements of a study's champions, one row for each trial, and the names of what they are."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from tasks.analysis.estimates import Sample, sample_of
-from tasks.arrays import Float64, Int64
+from tasks.analysis.registry import OfTrial, column
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 Quantity = Literal["predicted", "zero_shot", "adapted"]
@@ -28,57 +28,36 @@ def arm_name(arm: ScoredArm) -> str:
 
 
 @dataclass(frozen=True)
-class ScoredTrial:
-    """What is known of a trial's champion [m]; NaN where it diverged, or there is none."""
+class ScoredTrial(OfTrial):
+    """What is known of a trial's champion; NaN where it diverged, or there is none."""
 
-    environment: EnvironmentName  # where it evolved
-    depth: float  # [m]
-    trial: int
-    replicate: int  # of the throws and networks that it depends on; 0 where it evolved without networks
-    fitness: float = np.nan  # where it evolved, in the objective's unit: μ - kσ for an ensemble
-    predicted: float = np.nan  # displacement where it evolved: the mean over members for an ensemble, μ
-    predicted_sd: float = np.nan  # its standard deviation over members, σ; NaN without an ensemble
-    zero_shot: float = np.nan  # displacement of its root in True Slush
-    zero_shot_com: float = np.nan  # displacement of its centre of mass there
-    adapted: float = np.nan  # the same with a controller that evolved there
-    adapted_com: float = np.nan
-    status: Literal["ok", "no champion", "not done"] = "not done"
+    replicate: int = column("replicate", form="{}", shown=False, meaning="Of the throws and networks; 0 without any.")
+    fitness: float = column("fitness", default=math.nan, meaning="Where it evolved: μ − kσ for an ensemble.")
+    predicted: float = column(
+        "predicted", "m", default=math.nan, meaning="Displacement of the root where it evolved: μ."
+    )
+    predicted_sd: float = column(
+        "σ", "m", default=math.nan, meaning="Standard deviation over the members of an ensemble."
+    )
+    zero_shot: float = column("zero-shot", "m", default=math.nan, meaning="Displacement of the root in True Slush.")
+    zero_shot_com: float = column("zero-shot CoM", "m", default=math.nan, shown=False, meaning="Of the centre of mass.")
+    adapted: float = column("adapted", "m", default=math.nan, meaning="With a controller that evolved in True Slush.")
+    adapted_com: float = column("adapted CoM", "m", default=math.nan, shown=False, meaning="Of the centre of mass.")
+    status: Literal["ok", "no champion", "not done"] = column(
+        "status", form="{}", default="not done", meaning="ok, no champion (every design diverged), or not done."
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """Scores with one row for each trial, that is for each champion."""
+def sample(trials: Sequence[ScoredTrial], arm: ScoredArm, depth: float) -> Sample:
+    """Return the finite values of an arm at a depth [m] by trial number, with their replicates."""
+    own = [one for one in trials if (one.environment, one.depth) == (arm[0], depth)]
+    own.sort(key=lambda one: one.trial)
+    values, replicate = ([getattr(one, name) for one in own] for name in (arm[1], "replicate"))
+    return sample_of(np.array(values, dtype=np.float64), np.array(replicate, dtype=np.int64))
 
-    environment: npt.NDArray[np.str_]  # (n_trials,) where the champion evolved
-    depth: Float64  # (n_trials,) [m]
-    trial: Int64  # (n_trials,)
-    predicted: Float64  # (n_trials,) displacement where it evolved [m]; NaN where unknown, as in the next two
-    zero_shot: Float64  # (n_trials,) displacement in True Slush [m]
-    adapted: Float64  # (n_trials,) displacement in True Slush with an adapted controller [m]
-    replicate: Int64  # (n_trials,) data set and ensemble that the trial depends on
 
-    @staticmethod
-    def of(trials: "list[ScoredTrial]") -> "Scores":
-        """Arrange trials as columns."""
-        names: dict[str, type] = {"environment": np.str_, "depth": np.float64, "trial": np.int64}
-        names |= dict.fromkeys(QUANTITIES, np.float64) | {"replicate": np.int64}
-        return Scores(*(np.array([getattr(row, name) for row in trials], dtype=kind) for name, kind in names.items()))
-
-    def rows(self, environment: EnvironmentName, depth: float) -> Int64:
-        """Return the rows of one arm and depth [m], by trial number."""
-        chosen = np.flatnonzero((self.environment == environment) & (self.depth == depth))
-        return chosen[np.argsort(self.trial[chosen], kind="stable")]
-
-    def sample(self, arm: ScoredArm, depth: float) -> Sample:
-        """Return the finite values of an arm at a depth [m] by trial number, with their replicates."""
-        rows = self.rows(arm[0], depth)
-        return sample_of(getattr(self, arm[1])[rows], self.replicate[rows])
-
-    def depths(self) -> list[float]:
-        """Return the depths in ascending order [m]."""
-        return [float(depth) for depth in np.unique(self.depth)]
-
-    def arms(self) -> list[tuple[EnvironmentName, float]]:
-        """Return the environments and depths that there are, in the order of listings, the greatest depth first."""
-        known = set(zip(self.environment.tolist(), self.depth.tolist(), strict=True))
-        return [(name, depth) for depth in self.depths()[::-1] for name in ENVIRONMENTS if (name, depth) in known]
+def arms(trials: Sequence[ScoredTrial]) -> list[tuple[EnvironmentName, float]]:
+    """Return the environments and depths that there are, in the order of listings, the greatest depth first."""
+    known = {(one.environment, one.depth) for one in trials}
+    depths = sorted({depth for _, depth in known}, reverse=True)
+    return [(name, depth) for depth in depths for name in ENVIRONMENTS if (name, depth) in known]

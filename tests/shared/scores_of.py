@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from tasks.analysis.scores import ScoredTrial, Scores
+from tasks.analysis.scores import ScoredTrial
 
 
 def trials_of(zero_shot, *, adapted=None, predicted=None, n_replicates=1):
@@ -24,15 +24,11 @@ def trials_of(zero_shot, *, adapted=None, predicted=None, n_replicates=1):
     ]
 
 
-def scores_of(zero_shot, **others):
-    return Scores.of(trials_of(zero_shot, **others))
-
-
 def study_of(zero_shot, **others):
     """Return what an analysis of scores reads of a study."""
     trials = trials_of(zero_shot, **others)
     rng = lambda *identity: np.random.default_rng(0)  # noqa: E731
-    return SimpleNamespace(trials=trials, scores=Scores.of(trials), rng=rng, throw_groups=(), assessed_depth=9.0)
+    return SimpleNamespace(trials=trials, rng=rng, throw_groups=(), assessed_depth=9.0)
 
 
 def spread(mean, sd, n):

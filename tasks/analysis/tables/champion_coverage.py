@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tasks.analysis.coverage import coverage, observed_states
-from tasks.analysis.registry import Champion, StudyData, analysis, column
-from tasks.analysis.tables.transfer import OfTrial, percent
+from tasks.analysis.registry import Champion, OfTrial, StudyData, analysis, column, percent
 from tasks.arrays import Float32
 from tasks.design.genes import concatenate
 from tasks.residual.support import deviations

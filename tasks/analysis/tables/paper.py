@@ -41,7 +41,7 @@ from tasks.analysis.estimates import (
 )
 from tasks.analysis.paper import DEPTH, N_ASSESSED, N_TRIALS, Figure, Statement
 from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.scores import BEST, Scores, arm_name
+from tasks.analysis.scores import BEST, ScoredTrial, arm_name, sample
 from tasks.analysis.tables.regressions import Accuracy, accuracy_of
 
 _FIGURE: Mapping[Figure, str] = {"r": "Pearson's R", "slope": "slope"}
@@ -91,25 +91,25 @@ def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
 )
 def paper(study: StudyData) -> list[PaperRow]:
     """Compare every number and statement of the paper that this run measured."""
-    scores, rng = study.scores, study.rng("paper")
+    trials, rng = study.trials, study.rng("paper")
     accuracy = (
         accuracy_of(study, study.throw_groups[0]) if study.assessed_depth == DEPTH and study.throw_groups else None
     )
-    numbers = [*_means(scores), *_ratios(scores, rng), *_variation(scores)]
-    return [*numbers, *(_figures(accuracy) if accuracy else ()), *_statements(scores)]
+    numbers = [*_means(trials), *_ratios(trials, rng), *_variation(trials)]
+    return [*numbers, *(_figures(accuracy) if accuracy else ()), *_statements(trials)]
 
 
-def _means(scores: Scores) -> Iterator[PaperRow]:
+def _means(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     for arm, (value, source) in stated.MEANS.items():
-        sample = scores.sample(arm, DEPTH)
-        bound, n = stated.NEGLIGIBLE * stated.MEANS[BEST][0], len(sample)
-        found, n_paper = sum_of_means(sample), _papers_trials(n, sample)
+        own = sample(trials, arm, DEPTH)
+        bound, n = stated.NEGLIGIBLE * stated.MEANS[BEST][0], len(own)
+        found, n_paper = sum_of_means(own), _papers_trials(n, own)
         yield from _number(f"{arm_name(arm)} at {DEPTH:g} m [m]", value, "{:z.1f}", source, found, bound, n, n_paper)
 
 
-def _ratios(scores: Scores, rng: Generator) -> Iterator[PaperRow]:
+def _ratios(trials: Sequence[ScoredTrial], rng: Generator) -> Iterator[PaperRow]:
     for arm, (value, source) in stated.RATIOS.items():
-        part, whole = scores.sample(arm, DEPTH), scores.sample(BEST, DEPTH)
+        part, whole = sample(trials, arm, DEPTH), sample(trials, BEST, DEPTH)
         found, n, n_paper = ratio(part, whole, rng=rng), min(len(part), len(whole)), float(N_TRIALS)
         if found.interval is not None:
             n_paper = _papers_trials(n, *linearised(part, whole))
@@ -117,9 +117,9 @@ def _ratios(scores: Scores, rng: Generator) -> Iterator[PaperRow]:
         yield from _number(what, value, "{:z.0%}", source, found, stated.NEGLIGIBLE_RATIO, n, n_paper)
 
 
-def _variation(scores: Scores) -> Iterator[PaperRow]:
+def _variation(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     """Compare the deviation over trials of single members with that of the ensemble, by the F distribution."""
-    single, ensemble = (scores.sample((arm, "zero_shot"), DEPTH) for arm in ("single_member", "residual_slush"))
+    single, ensemble = (sample(trials, (arm, "zero_shot"), DEPTH) for arm in ("single_member", "residual_slush"))
     (x, n_x), (y, n_y) = within_replicates(single), within_replicates(ensemble)
     if min(n_x, n_y) < 1 or y <= RESOLUTION**2:
         return
@@ -181,12 +181,12 @@ def _number(
     yield PaperRow("number", what, form.format(value), written(found, form), decides, verdict, found, None, source)
 
 
-def _statements(scores: Scores) -> Iterator[PaperRow]:
+def _statements(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     """Judge the paper's statements about t tests, as one family."""
     found = [
         (statement, row)
         for statement in stated.STATEMENTS
-        for row in reversed(compare(scores, scores, [(statement.a, statement.b)]))
+        for row in reversed(compare(trials, trials, [(statement.a, statement.b)]))
         if row.depth in statement.depths and row.p is not None
     ]
     corrected = holm([row.p for _, row in found])

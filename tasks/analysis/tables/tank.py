@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.tables.transfer import OfTrial
+from tasks.analysis.registry import OfTrial, StudyData, analysis, column
 from tasks.analysis.tank import Crossing, Tank, TankTrials, count_crossings, crossings, nearest_the_mean, restarted
 from tasks.design import Designs
 from tasks.design.genes import concatenate

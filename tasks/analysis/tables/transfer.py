@@ -1,71 +1,21 @@
 """How far champions get in True Slush: a row per trial, and a row per arm. Paper, "Evolution" and Fig. 4."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from tasks.analysis import paper
 from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
-from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.scores import BEST, ScoredTrial, Scores
-from tasks.world import ENVIRONMENTS
+from tasks.analysis.registry import OfArm, StudyData, analysis, column, percent
+from tasks.analysis.scores import BEST, ScoredTrial, arms
+from tasks.world import EnvironmentName
 
 
-def environment_name(name: str) -> str:
-    """Write an environment with its symbol."""
-    kind = ENVIRONMENTS[name]
-    return f"{kind.label}, {kind.symbol}"
-
-
-def percent(share: float) -> str:
-    """Write a share in whole per cent."""
-    return f"{100 * share:z.0f} %"
-
-
-@dataclass(frozen=True)
-class OfArm:
-    """The first columns of a table about arms."""
-
-    environment: str = column("evolved in", form=environment_name)
-    depth: float = column("depth", "m", form="{:g}")
-
-
-@dataclass(frozen=True)
-class OfTrial(OfArm):
-    """The first columns of a table about champions."""
-
-    trial: int = column("trial", form="{}")
-
-
-@dataclass(frozen=True)
-class ScoreRow(OfTrial):
-    """A champion; what is missing is None."""
-
-    replicate: int = column("replicate", form="{}", shown=False, meaning="Of the throws and networks; 0 without any.")
-    fitness: float | None = column("fitness", meaning="Where it evolved: μ − kσ for an ensemble.")
-    predicted: float | None = column("predicted", "m", meaning="Displacement of the root where it evolved: μ.")
-    predicted_sd: float | None = column("σ", "m", meaning="Standard deviation over the members of an ensemble.")
-    zero_shot: float | None = column("zero-shot", "m", meaning="Displacement of the root in True Slush.")
-    zero_shot_com: float | None = column("zero-shot CoM", "m", shown=False, meaning="Of the centre of mass.")
-    adapted: float | None = column("adapted", "m", meaning="With a controller that evolved in True Slush.")
-    adapted_com: float | None = column("adapted CoM", "m", shown=False, meaning="Of the centre of mass.")
-    status: str = column("status", form="{}", meaning="ok, no champion (every design diverged), or not done.")
-
-
-@analysis("scores", row=ScoreRow, reads=("transfer",), answers="How far does the champion of each trial get?")
-def scores(study: StudyData) -> list[ScoreRow]:
+@analysis("scores", row=ScoredTrial, reads=("transfer",), answers="How far does the champion of each trial get?")
+def scores(study: StudyData) -> Sequence[ScoredTrial]:
     """List every trial."""
-    return score_rows(study.trials)
-
-
-def score_rows(trials: Sequence[ScoredTrial]) -> list[ScoreRow]:
-    """Return the row of each trial; NaN becomes None."""
-    known: Iterator[dict[str, Any]] = (
-        {name: None if value != value else value for name, value in vars(trial).items()} for trial in trials
-    )
-    return [ScoreRow(**values) for values in known]
+    return study.trials
 
 
 @dataclass(frozen=True)
@@ -93,9 +43,8 @@ TOO_WIDE = ("n", "sigma", "fitness", "adapted_share_of_adapted", "paper_zero_sho
 
 def transfer_rows(trials: Sequence[ScoredTrial]) -> list[TransferRow]:
     """Average the trials of each arm, the greatest depth first."""
-    table = Scores.of(list(trials))
-    means: dict[tuple[str, float], dict[str, Mean]] = {}
-    for environment, depth in table.arms():
+    means: dict[tuple[EnvironmentName, float], dict[str, Mean]] = {}
+    for environment, depth in arms(trials):
         own = [trial for trial in trials if (trial.environment, trial.depth) == (environment, depth)]
         means[environment, depth] = {
             name: mean_of(np.array([getattr(trial, name) for trial in own])) for name in _AVERAGED

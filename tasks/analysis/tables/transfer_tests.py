@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.tables.transfer import OfTrial
+from tasks.analysis.registry import OfTrial, StudyData, analysis, column
 from tasks.design.genes import concatenate
 
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import scipy
 
 from tasks.analysis.estimates import LEVEL, MISSING, RESOLUTION, Estimate, Sample, components, is_constant
-from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.scores import QUANTITIES
-from tasks.analysis.tables.transfer import OfArm, percent
+from tasks.analysis.registry import OfArm, StudyData, analysis, column, percent
+from tasks.analysis.scores import QUANTITIES, arms, sample
 
 
 @dataclass(frozen=True)
@@ -33,25 +32,25 @@ class VarianceRow(OfArm):
 )
 def variance(study: StudyData) -> list[VarianceRow]:
     """Split the variance of every quantity that has two or more values, by arm and depth."""
-    scores, rows = study.scores, []
-    for environment, depth in scores.arms():
+    rows = []
+    for environment, depth in arms(study.trials):
         for quantity in QUANTITIES:
-            sample = scores.sample((environment, quantity), depth)
-            if len(sample) > 1:
-                found = components(sample)
+            own = sample(study.trials, (environment, quantity), depth)
+            if len(own) > 1:
+                found = components(own)
                 between, within = (None if math.isnan(v) else math.sqrt(v) for v in (found.between, found.within))
-                who = environment, depth, quantity, len(sample), sample.n_replicates
-                rows.append(VarianceRow(*who, between, within, share_between(sample)))
+                who = environment, depth, quantity, len(own), own.n_replicates
+                rows.append(VarianceRow(*who, between, within, share_between(own)))
     return rows
 
 
-def share_between(sample: Sample) -> Estimate:
+def share_between(own: Sample) -> Estimate:
     """Estimate the intraclass correlation, with the interval of the F test.
 
     Shrout & Fleiss 1979, Psychological Bulletin 86: exact in balanced groups of normal values.
     """
-    found, n, n_replicates = components(sample), len(sample), sample.n_replicates
-    if n_replicates in (1, n) or is_constant(sample.values, resolution=RESOLUTION):
+    found, n, n_replicates = components(own), len(own), own.n_replicates
+    if n_replicates in (1, n) or is_constant(own.values, resolution=RESOLUTION):
         return MISSING
     freedom = n_replicates - 1, n - n_replicates
     tails = (scipy.stats.f.ppf(tail, *freedom) for tail in ((1 + LEVEL) / 2, (1 - LEVEL) / 2))

@@ -104,7 +104,7 @@ def study(slush_replay, dry_replay, predicted_replay) -> StudyPage:
     data = study_of(ZERO_SHOT, adapted=ADAPTED, predicted=PREDICTED)
     data.throw_groups, data.deviation = ("throws", "designed_throws"), "sample"
     assessed = {
-        group: Assessed(k + predicted, true, trial, np.zeros(300, np.int64), {})
+        group: Assessed(k + predicted, true, trial, np.zeros(300, np.int64))
         for k, group in enumerate(data.throw_groups)
     }
     data.assessed = assessed.get

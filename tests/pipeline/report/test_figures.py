@@ -15,7 +15,7 @@ from PIL import Image
 from pipeline.report.drawing import FIGURE_WIDTH, PAPER_MARK, Drawing
 from pipeline.report.page import FIGURES, StudyPage, draw_all
 from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.transfer import score_rows, transfer_rows
+from tasks.analysis.tables.transfer import transfer_rows
 from tasks.world import ENVIRONMENTS
 
 
@@ -33,7 +33,7 @@ def draw(name: str, study: StudyPage, monkeypatch) -> Drawing:
 def with_trials(study: StudyPage, trials: list[ScoredTrial]) -> StudyPage:
     depths = sorted({trial.depth for trial in trials})
     settings = study.settings.model_copy(update={"grid": study.settings.grid.model_copy(update={"depths": depths})})
-    return replace(study, settings=settings, tables={"scores": score_rows(trials), "transfer": transfer_rows(trials)})
+    return replace(study, settings=settings, tables={"scores": trials, "transfer": transfer_rows(trials)})
 
 
 def test_every_figure_is_drawn_twice(drawn):

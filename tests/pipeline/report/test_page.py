@@ -16,7 +16,7 @@ from command_line import call
 from pipeline.report.page import StudyPage, draw_all, render_page, render_robot, scale_words, tables_of
 from pipeline.report.replay import Overlay
 from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.transfer import score_rows, transfer_rows
+from tasks.analysis.tables.transfer import transfer_rows
 from tasks.world import ENVIRONMENTS
 
 VOID = {"meta", "link", "br", "input", "img", "hr"}
@@ -137,7 +137,7 @@ def test_the_transfer_table_is_of_the_greatest_depth_and_others_fold(html):
 
 def test_a_diverged_champion_is_counted_out(study, drawn):
     trials = [ScoredTrial("dry_land", 9.0, k, 0, zero_shot=z, status="ok") for k, z in enumerate((8.0, 10.0, np.nan))]
-    page = replace(study, tables={"transfer": transfer_rows(trials), "scores": score_rows(trials)})
+    page = replace(study, tables={"transfer": transfer_rows(trials), "scores": trials})
     (row,) = cells(render_page(page, drawn), "transfer")
     assert "9.0 ± 1.4" in row and "3" in row
 

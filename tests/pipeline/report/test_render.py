@@ -8,8 +8,7 @@ from matplotlib.mathtext import MathTextParser
 
 from pipeline.report.render import as_csv, as_html, as_json, as_latex, as_markdown, as_text, written
 from tasks.analysis.estimates import MISSING, Estimate, Mean
-from tasks.analysis.registry import column
-from tasks.analysis.tables.transfer import environment_name, percent
+from tasks.analysis.registry import column, environment_name, percent
 from tasks.world import ENVIRONMENTS
 
 

@@ -76,19 +76,10 @@ def test_twenty_seconds_take_sixteen_kilobytes(rollout):
     assert len(json.dumps(encode(replay_of(design, trace, n_settle=60, **WORDS)))) < 16_500
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda design, trace: (design, np.where(np.arange(6) == 1, np.nan, trace), 0), "the rollout diverged"),
-        (lambda design, trace: (design, trace[:, :5], 0), r"shape \(240, 5, 6\), expected \(n_steps, 6, 6\)"),
-        (lambda design, trace: (design, trace, 240), "expected at least 242 steps, got 240"),
-        (lambda design, trace: (design[[0, 0]], trace, 0), "expected one design, got 2"),
-    ],
-)
-def test_what_can_not_be_shown_is_named(rollout, change, message):
-    design, trace, n_settle = change(*rollout[:2])
-    with pytest.raises(ValueError, match=f"'a robot': .*{message}"):
-        replay_of(design, trace, n_settle=n_settle, **WORDS)
+def test_a_diverged_rollout_is_refused(rollout):
+    design, trace, _ = rollout
+    with pytest.raises(ValueError, match="'a robot': the rollout diverged"):
+        replay_of(design, np.where(np.arange(6) == 1, np.nan, trace), n_settle=0, **WORDS)
 
 
 @pytest.mark.parametrize("n_settle", [0, 1, 7])
@@ -123,8 +114,3 @@ def test_a_push_keeps_its_direction_when_it_is_too_long(slush_replay):
     encoded = encode(replace(slush_replay, push=push))
     shown = np.frombuffer(base64.b64decode(encoded["push"]), np.int8).reshape(push.shape) * encoded["pushQuantum"]
     np.testing.assert_allclose(shown[0, 0], (36.0, -48.0), atol=encoded["pushQuantum"] / 2)
-
-
-def test_an_overlay_of_another_length_is_refused(slush_replay):
-    with pytest.raises(ValueError, match=r"doubt.*expected"):
-        replace(slush_replay, overlays=(Overlay("doubt", "", np.zeros((3, 6))),))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from scores_of import scores_of, spread, study_of
+from scores_of import spread, study_of, trials_of
 
 from tasks.analysis.comparison import compare, difference, holm, judge, written_arm
 from tasks.analysis.estimates import Estimate, Sample, error_of, mean_of
@@ -81,7 +81,7 @@ ARMS = {("true_slush", 9.0): spread(10, 1, 5), ("dry_land", 9.0): spread(2, 1, 5
 
 
 def test_arms_of_a_study_are_compared_where_both_have_champions():
-    table = scores_of(ARMS)
+    table = trials_of(ARMS)
     (row,) = compare(table, table, [(DRY, E)])
     assert (row.depth, row.a, row.b) == (9.0, "dry_land/zero_shot", "true_slush/zero_shot")
     assert (row.of_a, row.of_b) == (mean_of(ARMS["dry_land", 9.0]), mean_of(ARMS["true_slush", 9.0]))
@@ -90,8 +90,8 @@ def test_arms_of_a_study_are_compared_where_both_have_champions():
 
 
 def test_studies_are_compared_at_every_common_depth_and_corrected_together():
-    a = scores_of({arm: values + 0.1 for arm, values in ARMS.items()})
-    rows = compare(a, scores_of(ARMS), [(E, E), (DRY, DRY)])
+    a = trials_of({arm: values + 0.1 for arm, values in ARMS.items()})
+    rows = compare(a, trials_of(ARMS), [(E, E), (DRY, DRY)])
     assert [(row.depth, row.a) for row in rows] == [
         (9.0, "true_slush/zero_shot"),
         (9.0, "dry_land/zero_shot"),

@@ -10,6 +10,7 @@ from scores_of import spread, study_of
 from tasks.analysis.estimates import Sample, components, ratio
 from tasks.analysis.paper import AGGREGATES, MEANS, RANGES, RATIOS, STATEMENTS
 from tasks.analysis.registry import Assessed
+from tasks.analysis.scores import sample
 from tasks.analysis.tables.paper import paper
 from tasks.analysis.tables.regressions import accuracy
 
@@ -75,7 +76,7 @@ def test_a_ratio_far_from_the_papers_differs():
 def test_intervals_include_the_variance_between_replicates_which_counts_in_full_for_the_paper():
     study = like_the_paper(n_replicates=2)
     row = rows_of(study)["Residual Slush zero-shot / True Slush at 9 m"]
-    part, whole = (study.scores.sample((arm, "zero_shot"), 9.0) for arm in ("residual_slush", "true_slush"))
+    part, whole = (sample(study.trials, (arm, "zero_shot"), 9.0) for arm in ("residual_slush", "true_slush"))
     assert row.value == ratio(part, whole, rng=np.random.default_rng(0))
     found, r = components(part), part.values.mean() / whole.values.mean()
     own, of_paper = found.error.variance + r**2 / 10, found.between + found.within / 10 + r**2 / 10
@@ -136,7 +137,7 @@ def test_figures_of_the_networks_are_compared_at_the_papers_depth():
     draw = np.random.default_rng(2)
     true = draw.normal(5, 3, 200)
     trial = [f"true_slush/{k}" for k in np.arange(200) % 20]
-    assessed = Assessed(0.5 * true + draw.normal(0, 2, (8, 200)), true, trial, np.zeros(200, int), {})
+    assessed = Assessed(0.5 * true + draw.normal(0, 2, (8, 200)), true, trial, np.zeros(200, int))
     study = study_of({})
     study.throw_groups, study.deviation, study.assessed = ("throws",), "population", lambda group: assessed
     rows = rows_of(study)

@@ -16,7 +16,7 @@ def assess(predicted, true, trial=None, replicate=None, seed=0):
     predicted, true = np.atleast_2d(np.asarray(predicted, float)), np.asarray(true, float)
     trial = [str(k) for k in (np.arange(len(true)) if trial is None else trial)]
     replicate = np.zeros(len(true), int) if replicate is None else replicate
-    assessed = Assessed(predicted, true, trial, replicate, {})
+    assessed = Assessed(predicted, true, trial, replicate)
     return accuracy(assessed, "throws", "population", np.random.default_rng(seed))
 
 
@@ -122,7 +122,7 @@ def test_with_replicates_the_intervals_include_the_variance_between_them():
 
 def test_every_ensemble_is_assessed_and_the_main_one_gives_the_metrics():
     x, y = noisy(60, 0.5, 1.0)
-    assessed = Assessed(np.stack((x, x + 0.1)), y, [str(k) for k in range(60)], np.zeros(60, int), {})
+    assessed = Assessed(np.stack((x, x + 0.1)), y, [str(k) for k in range(60)], np.zeros(60, int))
     study = SimpleNamespace(
         throw_groups=("throws", "designed_throws", "none"),
         deviation="population",

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from scores_of import scores_of, study_of
+from scores_of import study_of, trials_of
 
 from tasks.analysis.estimates import MISSING, Mean
-from tasks.analysis.scores import BEST, ScoredTrial, Scores, arm_name
-from tasks.analysis.tables.transfer import papers_mean, score_rows, transfer, transfer_rows
+from tasks.analysis.scores import BEST, ScoredTrial, arm_name, arms, sample
+from tasks.analysis.tables.transfer import papers_mean, transfer, transfer_rows
 from tasks.analysis.tables.variance import variance
 
 NAN = float("nan")
@@ -42,18 +42,11 @@ def test_sigma_and_fitness_are_of_ensembles_alone():
     assert (land.sigma, land.fitness, land.predicted.value) == (None, None, 7.0)
 
 
-def test_scores_list_every_trial_with_none_for_what_is_missing():
-    rows = score_rows(
-        [ScoredTrial("dry_land", 9.0, 1, 0, zero_shot=2.0, status="ok"), ScoredTrial("dry_land", 9.0, 2, 0)]
-    )
-    assert (rows[0].zero_shot, rows[0].adapted, rows[1].status) == (2.0, None, "not done")
-
-
 def test_arms_are_listed_the_deepest_first_and_trials_by_number_with_their_replicates():
-    table = scores_of({("dry_land", 1.0): [0], ("true_slush", 1.0): [0], ("dry_land", 9.0): [0]})
-    assert table.arms() == [("dry_land", 9.0), ("true_slush", 1.0), ("dry_land", 1.0)]
+    table = trials_of({("dry_land", 1.0): [0], ("true_slush", 1.0): [0], ("dry_land", 9.0): [0]})
+    assert arms(table) == [("dry_land", 9.0), ("true_slush", 1.0), ("dry_land", 1.0)]
     trials = [ScoredTrial("residual_slush", 9.0, k, k % 2 + 5, zero_shot=z) for k, z in ((2, 2.0), (0, 0.0), (1, NAN))]
-    found = Scores.of(trials).sample(("residual_slush", "zero_shot"), 9.0)
+    found = sample(trials, ("residual_slush", "zero_shot"), 9.0)
     assert (found.values.tolist(), found.replicate.tolist()) == ([0.0, 2.0], [5, 5])
     assert (arm_name(BEST), arm_name(("dry_land", "adapted"))) == ("True Slush", "Dry Land adapted")
 
