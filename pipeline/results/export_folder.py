@@ -141,8 +141,8 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: 
         schema, n_of_table = write(path, partial(study.parts, name))
         disk.fsync(path)
         for one in schema:
-            unit, meaning = (one.metadata.get(word, b"").decode() for word in (b"unit", b"meaning"))
-            columns.writerow((name, one.name, one.type, unit, meaning))
+            unit, meaning, label = (one.metadata.get(word, b"").decode() for word in (b"unit", b"meaning", b"label"))
+            columns.writerow((name, one.name, one.type, unit, meaning or label))
         n_rows += n_of_table
     folder.write("tables/columns.csv", sheet.getvalue().encode())
     return n_rows
