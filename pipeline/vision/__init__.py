@@ -6,9 +6,17 @@ from pipeline.errors import PuddleError
 
 
 def require_vision() -> None:
-    """Check that OpenCV is installed. Raises PuddleError otherwise."""
+    """Check that OpenCV is installed and whole. Raises PuddleError otherwise."""
     if find_spec("cv2") is None:
         raise PuddleError(
             "opencv-python-headless not installed, but needed to find and print tags. Run `make setup EXTRAS=vision` "
             "in the checkout; without a checkout, `pip install 'puddle[vision]'`."
+        )
+    import cv2
+
+    if not hasattr(getattr(cv2, "aruco", None), "ArucoDetector"):
+        raise PuddleError(
+            f"OpenCV {getattr(cv2, '__version__', 'of an unknown version')} has no cv2.aruco.ArucoDetector, expected "
+            f"one wheel of 4.9 or later. Run `pip uninstall opencv-python opencv-contrib-python opencv-python-headless "
+            f"opencv-contrib-python-headless`, then `pip install 'opencv-python-headless>=4.9'`."
         )

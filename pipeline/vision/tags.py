@@ -15,6 +15,7 @@ from tasks.vision.plane import Lens
 
 _LEAST_CORNERS, _MOST_VIEWS = 8, 40  # of the board in a frame; of frames that calibrate the lens
 _LEAST_VIEWS, _MOST_MISFIT_PX = 6, 1.5
+_LEAST_SHIFT = 0.02  # of corners between two frames that count as different views, over the picture's width
 
 
 @cache
@@ -61,6 +62,12 @@ class Detector:
         return found
 
 
+def _shift(view: dict[int, Float64], other: dict[int, Float64]) -> float:
+    """Return by how much the corners that two views share are apart [px]; infinity if they share none."""
+    apart = [float(np.linalg.norm(view[number] - other[number])) for number in view.keys() & other.keys()]
+    return float(np.median(apart)) if apart else float("inf")
+
+
 @cache
 def _detector_of(name: Dictionary) -> Any:
     import cv2
@@ -92,22 +99,33 @@ def lens_of_board(path: Path, markers: Markers) -> tuple[Lens, tuple[int, int], 
     """
     import cv2
 
-    board = charuco_board(markers.board, markers.dictionary)
-    detector = cv2.aruco.CharucoDetector(board)
-    views, size = [], (0, 0)
+    boards = [charuco_board(markers.board, markers.dictionary) for _ in range(2)]
+    boards[1].setLegacyPattern(True)  # of OpenCV before 4.6, where rows are even
+    detectors = [cv2.aruco.CharucoDetector(board) for board in boards]
+    views: list[dict[int, Float64]] = []
+    n_seen, pattern, size = 0, 0, (0, 0)
     for frame in frames(path):
         size = (frame.picture.shape[1], frame.picture.shape[0])
-        corners, numbers, _, _ = detector.detectBoard(frame.picture)
-        if numbers is not None and len(numbers) >= _LEAST_CORNERS:
-            views.append(board.matchImagePoints(corners, numbers))
+        for number in range(2) if not views else (pattern,):
+            corners, numbers, _, _ = detectors[number].detectBoard(frame.picture)
+            if numbers is not None and len(numbers) >= _LEAST_CORNERS:
+                n_seen, pattern = n_seen + 1, number
+                view = dict(zip(numbers.ravel().tolist(), corners.reshape(-1, 2).astype(np.float64), strict=True))
+                if all(_shift(view, other) > _LEAST_SHIFT * size[0] for other in views):
+                    views.append(view)
+                break
     if len(views) < _LEAST_VIEWS:
         raise PuddleError(
-            f"{path}: expected the board with at least {_LEAST_CORNERS} corners in at least {_LEAST_VIEWS} frames, got "
-            f"{len(views)}. Film it slowly from several sides, all of it in the picture, sharp and flat; check `board` "
-            f"and `dictionary` in the markers file."
+            f"{path}: expected the board with at least {_LEAST_CORNERS} corners in at least {_LEAST_VIEWS} frames that "
+            f"differ, got {len(views)} of {n_seen}. Film it slowly from several sides, all of it in the picture, sharp "
+            f"and flat; check `board` and `dictionary` in the markers file."
         )
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int))]
-    points, pixels = [view[0] for view in chosen], [view[1] for view in chosen]
+    matched = [
+        boards[pattern].matchImagePoints(np.float32([*view.values()])[:, None], np.int32([*view])[:, None])
+        for view in chosen
+    ]
+    points, pixels = [view[0] for view in matched], [view[1] for view in matched]
     misfit, camera, distortion, _, _ = cv2.calibrateCamera(points, pixels, size, None, None)
     if not misfit <= _MOST_MISFIT_PX:
         raise PuddleError(
@@ -116,4 +134,9 @@ def lens_of_board(path: Path, markers: Markers) -> tuple[Lens, tuple[int, int], 
         )
     k1, k2, p1, p2, k3 = distortion.ravel()[:5].tolist()
     lens = Lens((camera[0, 0], camera[1, 1]), (camera[0, 2], camera[1, 2]), (k1, k2, p1, p2, k3))
+    if not lens.is_monotonic(*size):
+        raise PuddleError(
+            f"{path}: no lens fits the board: the distortion bends back inside the picture. Film the board from more "
+            f"sides, tilted, and in the corners of the picture too."
+        )
     return lens, size, f"{path.name}: the lens fits {len(chosen)} of {len(views)} views of the board to {misfit:.2f} px"

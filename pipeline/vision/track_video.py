@@ -286,6 +286,11 @@ def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[
             plane, misfit = fit_plane(metres, np.concatenate(seen), assumed_lens(*sightings.size), radial=True)
     except (CalibrationError, np.linalg.LinAlgError) as error:
         raise PuddleError(f"{path}: the tank's tags: {error}. Check `tank` in the markers file.") from None
+    if not plane.lens.is_monotonic(*sightings.size):
+        raise PuddleError(
+            f"{path}: no lens fits the tank's tags: its distortion bends back inside the picture. Film the printed "
+            f"board (--lens), or measure the tags' centres and tag_size again."
+        )
     if not misfit <= _MOST_MISFIT_PX:
         off = np.linalg.norm(plane.pixels(metres) - np.concatenate(seen), axis=1).reshape(-1, 4).max(axis=1)
         worst = tank.corners[int(off.argmax())].number

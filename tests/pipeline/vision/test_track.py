@@ -174,6 +174,9 @@ def test_a_board_of_another_size_or_none_at_all(tank, tmp_path, capsys):
     small = written(tmp_path / "small.mp4", [frame.picture[:240, :320] for frame in frames(tank.folder / "board.mp4")])
     assert track(tank, tmp_path / "tracks.csv", "--lens", small) == 2
     assert "expected the board with at least 8 corners in at least 6 frames" in capsys.readouterr().err
+    still = written(tmp_path / "still.mp4", 8 * [next(iter(frames(tank.folder / "board.mp4"))).picture])
+    assert track(tank, tmp_path / "tracks.csv", "--lens", still) == 2
+    assert "6 frames that differ, got 1 of 8" in capsys.readouterr().err
     large = [np.pad(frame.picture, ((0, 32), (0, 0))) for frame in frames(tank.folder / "board.mp4")]
     assert track(tank, tmp_path / "tracks.csv", "--lens", written(tmp_path / "large.mp4", large)) == 2
     assert "640 × 368 px" in (said := capsys.readouterr().err) and "640 × 400" in said
@@ -183,6 +186,30 @@ def test_what_is_refused_at_once(tank, tmp_path, monkeypatch, capsys):
     for out in (tmp_path / "tracks.txt", tmp_path / "none" / "tracks.csv"):
         assert track(tank, out) == 2
         assert "--out: expected a file name that ends in .csv" in capsys.readouterr().err
+    with monkeypatch.context() as patched:  # two wheels in one folder, or one before 4.7
+        patched.delattr("cv2.aruco.ArucoDetector")
+        assert track(tank, tmp_path / "tracks.csv") == 2
+        assert "pip install 'opencv-python-headless>=4.9'" in capsys.readouterr().err
     monkeypatch.setattr("pipeline.vision.find_spec", lambda name: None)
     assert call("track", tmp_path / "a.mp4", "--markers", tmp_path / "markers.yaml") == 2
     assert "make setup EXTRAS=vision" in capsys.readouterr().err
+
+
+def test_a_board_of_opencv_before_4_6_is_recognised(tank, tmp_path, monkeypatch):
+    from benchmarks import synthetic_tank
+    from pipeline.vision import tags
+
+    new, size = tags.charuco_board, {"rows": 4}
+    markers = tank.scene.markers.model_copy(update={"board": tank.scene.markers.board.model_copy(update=size)})
+
+    def old(board, dictionary):
+        made = new(board, dictionary)
+        made.setLegacyPattern(True)
+        return made
+
+    for name, drawn in (("new", new), ("old", old)):
+        monkeypatch.setattr(synthetic_tank, "charuco_board", drawn)
+        path = tmp_path / f"{name}.mp4"
+        synthetic_tank.film_board(path, tank.scene.camera, markers, 8, np.random.default_rng(3))
+        lens, _, _ = tags.lens_of_board(path, markers)
+        assert lens.focal == pytest.approx(tank.scene.camera.lens.focal, rel=0.03), name
