@@ -1,4 +1,8 @@
-"""Tracks files: tracked throws of bars as CSV or Parquet, and the bars, in the same file or one of their own."""
+"""Tracks files: tracked throws of bars as CSV or Parquet, and the bars, in the same file or one of their own.
+
+Nothing is guessed: a file of another program or in another notation is recognised by foreign_tracks.py and refused with
+the lines that convert it.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
+from pipeline.store.foreign_tracks import conversion_of_parquet, conversion_of_text
 from tasks.arrays import Float64
 from tasks.tracks import Bars, TrackTable
 
@@ -35,8 +40,12 @@ def read_track_columns(content: bytes, name: str) -> TrackColumns:
     if len(content) > _MOST_BYTES:
         raise PuddleError(f"{name}: expected at most {_MOST_BYTES:,} bytes, got {len(content):,}. Split the throws")
     kind = "Parquet" if content[:4] == _PARQUET else "CSV"
+    if kind == "CSV" and (conversion := conversion_of_text(content, name, _KNOWN)):
+        raise PuddleError(conversion)
     try:
         table = pq.read_table(pa.BufferReader(content)) if kind == "Parquet" else _read_csv(content, name)
+        if conversion := conversion_of_parquet({field.name: str(field.type) for field in table.schema}, name):
+            raise PuddleError(conversion)
         known = [column for column in table.column_names if column in _KNOWN]
         if repeated := sorted({column for column in known if known.count(column) > 1}):
             raise PuddleError(f"{name}: the column {repeated[0]} appears twice, expected each once")

@@ -1,6 +1,7 @@
 """Tracks files: what is read of CSV and Parquet, and what is refused."""
 
 import numpy as np
+import pandas
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -36,7 +37,8 @@ def test_deviations_and_bars_may_be_columns() -> None:
     [
         (b"", "a.csv: expected a row for each frame, got none"),
         (b"throw,time,x,y,angle\n", "a.csv: expected a row for each frame, got none"),
-        (b"Throw;Time;X\n1;0;0\n", "a.csv: expected columns named throw, time, x, .* got Throw;Time;X"),
+        (b"a,b\n1,0\n", "a.csv: expected columns named throw, time, x, .* got a, b"),
+        (b"throw,time,x,y,angle\n1_0,0,0,0,0\n", "a.csv: .*column #0: Row #2: .*'1_0'"),
         (b"throw,time,x,y\n1,0,0,0\n", "a.csv: expected the columns .*, got none named angle: name the columns so"),
         (b"throw,time,x,x,y,angle\n1,0,0,0,0,0\n", "a.csv: the column x appears twice"),
         (b"throw,time,x,y,angle\n1,0,0,zero,0\n", "a.csv: .*column #3: Row #2: .*'zero'"),
@@ -46,7 +48,6 @@ def test_deviations_and_bars_may_be_columns() -> None:
             b"throw,time,x,y,angle,x_sd\n1,0,0,0,0,1\n",
             "a.csv: has x_sd but no y_sd, angle_sd: expected all three or none",
         ),
-        (b"\xff\xfe\x00", "a.csv: cannot be read as CSV: .* Expected CSV .UTF-8. or Parquet"),
         (b"PAR1 and no more", "a.csv: cannot be read as Parquet"),
     ],
 )
@@ -59,3 +60,77 @@ def test_bars_that_change_within_a_throw_are_refused() -> None:
     rows = b"throw,length,width,mass\n1,0.07,0.07,0.1\n1,0.14,0.035,0.1\n"
     with pytest.raises(PuddleError, match=r"throw 1: length is 0\.14 and 0\.07: expected one bar for each throw"):
         bars_of(read_track_columns(rows, "bars.csv"), "bars.csv")
+
+
+ROWS = [(0, 0.0, 0.1, -0.2, 0.5), (0, 0.5, 0.2, -0.3, 0.6), (1, 0.0, 1.5, -0.25, 0.0)]
+PLAIN = "throw,time,x,y,angle\n" + "".join(",".join(map(str, row)) + "\n" for row in ROWS)
+
+
+def with_points(head: str, row: str) -> tuple[str, list[list[float]]]:
+    """Frames 0 and 60 of a bar that is upright at (1, 2), and then lies with its upper end to the left."""
+    first, second = ((1, 1.5), (1, 2.5)), ((1.5, 2), (0.5, 2))
+    text = head + "".join(row.format(f=f, t=f / 60, a=a, b=b) + "\n" for f, (a, b) in ((0, first), (60, second)))
+    return text, [[0, 0, 1, 2, 0], [0, 1, 1, 2, np.pi / 2]]
+
+
+MOTIVE = """Format Version,1.23,Take Name,a,Capture Frame Rate,60
+,,Type,Rigid Body
+,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position
+Frame,Time (Seconds),X,Y,Z,W,X,Y,Z
+0,0.0,0,0,0,1,1,2,9
+60,1.0,0,0,0.7071067811865476,0.7071067811865476,1,2,9
+"""
+FOREIGN = {
+    "text in UTF-16": (PLAIN.encode("utf-16"), ROWS),
+    "text that is not UTF-8": (PLAIN.replace("angle", "angle,°").replace("\n0", ",\n0").encode("cp1252"), None),
+    "columns named Throw": (PLAIN.replace("throw,time,x", "Throw,Time [s],X"), ROWS),
+    "semicolons between cells, decimal commas": (PLAIN.replace(",", ";").replace(".", ","), ROWS),
+    "tabs between cells": (PLAIN.replace(",", "\t"), ROWS),
+    "a row of units": (PLAIN.replace("\n", "\n,s,m,m,rad\n", 1), ROWS),
+    "lines of comments": ("# filmed by me\n" + PLAIN.replace("\n", "\n# more\n", 1), ROWS),
+    "lines of comments, tabs between cells, columns named": (
+        "% a\n" + PLAIN.replace(",", "\t").replace("angle", "Angle (rad)"),
+        ROWS,
+    ),
+    "a file of Motive": (MOTIVE, [[0, 0, 1, 2, 0], [0, 1, 1, 2, np.pi / 2]]),
+    "a file of DeepLabCut": with_points(
+        "scorer,n,n,n,n,n,n\nbodyparts,a,a,a,b,b,b\ncoords,x,y,likelihood,x,y,likelihood\n",
+        "{f},{a[0]},{a[1]},1,{b[0]},{b[1]},1",
+    ),
+    "a file of SLEAP": with_points(
+        "track,frame_idx,instance.score,a.x,a.y,a.score,b.x,b.y,b.score\n", ",{f},1,{a[0]},{a[1]},1,{b[0]},{b[1]},1"
+    ),
+    "a file of Tracker": with_points("mass A\t\t\tmass B\nt\tx\ty\tx\ty\n", "{t}\t{a[0]}\t{a[1]}\t{b[0]}\t{b[1]}"),
+    "a file of Tracker of one point": (b"t,x,y\n0,1,2\n1,1,2\n", None),
+}
+
+
+@pytest.mark.parametrize("what", FOREIGN)
+def test_a_file_of_another_notation_is_recognised_and_its_lines_convert_it(tmp_path, monkeypatch, what) -> None:
+    monkeypatch.chdir(tmp_path)
+    content, rows = FOREIGN[what]
+    content = content if isinstance(content, bytes) else content.encode()
+    (tmp_path / "mine.csv").write_bytes(content)
+    with pytest.raises(PuddleError, match=f"^mine.csv: recognised {what}") as refused:
+        read_track_columns(content, "mine.csv")
+    assert "codec" not in str(refused.value)
+    exec("\n".join(line.strip() for line in str(refused.value).splitlines()[1:]), {"pandas": pandas, "numpy": np})
+    columns = read_track_columns((tmp_path / "converted.csv").read_bytes(), "converted.csv")
+    if rows is not None:
+        found = np.stack([columns[name] for name in ("throw", "time", "x", "y", "angle")], axis=1)
+        np.testing.assert_allclose(found, rows, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["timedelta64[us]", "datetime64[ns]"])
+def test_durations_and_time_stamps_of_parquet_are_converted_to_seconds(tmp_path, monkeypatch, kind) -> None:
+    monkeypatch.chdir(tmp_path)
+    table = pandas.DataFrame(ROWS[:2], columns=["throw", "time", "x", "y", "angle"])
+    table["time"] = (table["time"] * 1e9).astype("int64").astype("timedelta64[ns]")
+    if kind.startswith("datetime"):
+        table["time"] += pandas.Timestamp("2026-01-01")
+    table.to_parquet("mine.parquet")
+    with pytest.raises(PuddleError, match=r"mine.parquet: recognised time is a (duration|timestamp)") as refused:
+        read_track_columns((tmp_path / "mine.parquet").read_bytes(), "mine.parquet")
+    exec("\n".join(line.strip() for line in str(refused.value).splitlines()[1:]), {"pandas": pandas})
+    columns = read_track_columns((tmp_path / "converted.csv").read_bytes(), "converted.csv")
+    assert columns["time"].tolist() == [0.0, 0.5]
