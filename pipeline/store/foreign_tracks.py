@@ -77,8 +77,7 @@ def _of_program(lines: Sequence[str], name: str) -> str | None:
         x, y = ([f"t[{f'{point}.{axis}'!r}]" for point in (low, high)] for axis in ("x", "y"))
         read = f"t = pandas.read_csv({name!r})"
         return _message("a file of SLEAP", name, read, _two_points("t['frame_idx'] / 60", x, y))
-    at = next((i for i, row in enumerate(rows[:3]) if row[:3] == ["t", "x", "y"]), None)
-    if at is not None:
+    for at in (i for i, row in enumerate(rows[:3]) if row[:3] == ["t", "x", "y"]):
         decimal = ", decimal=','" if "," in "".join(lines[at + 1 :][:1]) and "," not in lines[at] else ""
         read = f"t = pandas.read_csv({name!r}, skiprows={at}, sep={_separator(lines[at])!r}{decimal})"
         n = rows[at].count("x")

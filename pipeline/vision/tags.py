@@ -122,7 +122,7 @@ def lens_of_board(path: Path, markers: Markers) -> tuple[Lens, tuple[int, int], 
         )
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int))]
     matched = [
-        boards[pattern].matchImagePoints(np.float32([*view.values()])[:, None], np.int32([*view])[:, None])
+        boards[pattern].matchImagePoints(np.array([*view.values()], np.float32)[:, None], np.array([*view])[:, None])
         for view in chosen
     ]
     points, pixels = [view[0] for view in matched], [view[1] for view in matched]

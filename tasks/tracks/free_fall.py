@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tasks.arrays import Bools, Float64
 from tasks.residual import MeasuredTransitions
 from tasks.tracks.table import TrackError
 
@@ -14,6 +15,10 @@ _SD_OF_GRAVITY = 5.0  # deviations of the estimated fall
 _GRAVITY_OFF = 0.15  # share of gravity by which the fall in air may differ
 _LEAST_FALLING, _LEAST_SHARE_FALLING = 10, 0.05  # rows just below the surface, and share of them, that fall as in air
 _MOST_GRAVITY_OFF = 1.5  # factor from which tracks are refused
+_LEAST_PIECE = 5  # steps in air whose fall is compared with that of the others
+_LEAST_SHARE_OFF = 0.1  # of the steps in air, that fall at another speed
+_MOSTLY = 0.7  # share of the steps at another speed that fall alike
+_PIECE_OFF = 0.4  # share of gravity by which it may differ; half the speed falls at a quarter
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,7 @@ def check_falls(transitions: MeasuredTransitions, gravity: float, time_step: flo
             f"throw {int(transitions.throw[np.argmax(free)])}, and others: bars fall freely below y = 0: expected the "
             f"water to hold them up: check that y is 0 at the waterline"
         )
+    _check_speed_ramps(transitions, gravity, time_step)
     fall = _fall_in_air(transitions, gravity, time_step)
     share = -fall.acceleration / gravity if gravity else 1.0
     if falls_oddly(fall, gravity) and not 1 / _MOST_GRAVITY_OFF < share < _MOST_GRAVITY_OFF:
@@ -59,10 +65,50 @@ def check_falls(transitions: MeasuredTransitions, gravity: float, time_step: flo
     return fall
 
 
+def _in_air(transitions: MeasuredTransitions) -> Bools:
+    """Return the transitions of bars whose corners are all above the water."""
+    length = transitions.length_scale
+    return np.asarray(transitions.state[:, 1] > np.hypot(length, 1 / length) / 2)
+
+
+def _check_speed_ramps(transitions: MeasuredTransitions, gravity: float, time_step: float) -> None:
+    """Refuse a file in which some throws, or parts of them, fall far faster or slower than the others in air.
+
+    Phones export slow motion with ends at normal speed: time is then stretched in parts of a file alone, and the fall
+    there differs by the square of the factor.
+    """
+    dry = np.flatnonzero(_in_air(transitions))
+    throw, step = transitions.throw[dry], transitions.step[dry]
+    ends = np.flatnonzero((np.diff(throw) != 0) | (np.diff(step) != 1)) + 1
+    flights = [flight for flight in np.split(dry, ends) if len(flight) >= _LEAST_PIECE]
+    pieces = [piece for flight in flights for piece in np.array_split(flight, len(flight) // _LEAST_PIECE)]
+    x, y = ([transitions.residual[piece, axis] / time_step for piece in pieces] for axis in (3, 4))
+    falls = np.array([gravity - piece.mean() for piece in y])
+    sd = np.array([np.median(transitions.residual_sd[piece, 4]) / time_step for piece in pieces])
+    # In air a bar falls evenly and straight; what water does to one, where the waterline is wrong, is neither.
+    least = _OF_FREE_FALL * np.abs(falls) + _SD_OF_GRAVITY * sd
+    uneven = np.array([max(np.ptp(up), np.abs(aside).max()) for up, aside in zip(y, x, strict=True)])
+    free = (uneven < least) & (falls > _SD_OF_GRAVITY * sd)
+    usual = float(np.median(falls[free])) if free.any() else gravity
+    off = free & (np.abs(falls - usual) > np.maximum(_PIECE_OFF * usual, _SD_OF_GRAVITY * sd))
+    if off.sum() > max(2, _LEAST_SHARE_OFF * free.sum()) and _alike(falls[off]):
+        k = int(np.argmax(off))
+        raise TrackError(
+            f"throw {int(transitions.throw[pieces[k][0]])}, and others: bars fall at {falls[k]:.2g} m/s² of "
+            f"simulation in air, and at {usual:.2g} (median) elsewhere in the file: expected one speed of the video "
+            f"throughout: export slow motion without its ends at normal speed, or cut them off, and use --slowdown; "
+            f"where the speed is right, check that y is 0 at the waterline"
+        )
+
+
+def _alike(falls: Float64) -> bool:
+    """Return whether most values are about the same, as those at one speed of a video are."""
+    return bool(np.mean(np.abs(np.log(falls / np.median(falls))) < _PIECE_OFF) > _MOSTLY)
+
+
 def _fall_in_air(transitions: MeasuredTransitions, gravity: float, time_step: float) -> Fall:
     """Estimate the acceleration of bars whose corners are all above the water, from their residuals."""
-    length = transitions.length_scale
-    dry = transitions.state[:, 1] > np.hypot(length, 1 / length) / 2
+    dry = _in_air(transitions)
     if not dry.any():
         return Fall(0, float("nan"), float("nan"))
     sd = transitions.residual_sd[dry, 4].astype(np.float64)

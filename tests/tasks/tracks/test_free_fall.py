@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tank import filmed
 
 from tasks.residual import MeasuredTransitions, Throws, initial_states, simulate_throws
+from tasks.tracks import Tracks, residual_transitions
 from tasks.tracks.free_fall import check_falls
 from tasks.tracks.table import TrackError
 from tasks.world import Physics, Slush
@@ -33,8 +35,8 @@ def test_bars_that_fall_too_fast_or_too_slowly_are_refused(factor: float) -> Non
         check_falls(fallen, gravity, PHYSICS.time_step)
 
 
-@pytest.mark.parametrize("rise", [-1.0, 0.0, 0.5, 1.5, 3.0])
-def test_a_waterline_that_is_too_high_is_refused(rise: float) -> None:
+@pytest.mark.parametrize("rise", [-1.0, -0.5, 0.0, 0.5, 1.5, 3.0])
+def test_a_waterline_that_is_wrong_by_a_bars_length_is_refused(rise: float) -> None:
     """Bars of throws as they are, whose heights are counted from a waterline that is off [m of simulation]."""
     throws = initial_states(Throws(n_throws=60, **ROBOTS), np.random.default_rng(2))
     exact = simulate_throws(throws, 60, Slush(), PHYSICS)
@@ -42,8 +44,31 @@ def test_a_waterline_that_is_too_high_is_refused(rise: float) -> None:
     state[:, 1] -= rise
     columns = {**exact.columns(), "state": state}
     moved = MeasuredTransitions(**columns, residual_sd=np.full_like(exact.residual, 1e-3))
-    if rise < 1:
+    if abs(rise) < 1:
         check_falls(moved, PHYSICS.gravity, PHYSICS.time_step)
         return
-    with pytest.raises(TrackError, match=r"bars fall freely below y = 0.* check that y is 0 at the waterline"):
+    with pytest.raises(TrackError, match=r"check that y is 0 at the waterline"):
         check_falls(moved, PHYSICS.gravity, PHYSICS.time_step)
+
+
+@pytest.mark.parametrize("slow", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("within", [True, False])
+def test_a_speed_ramp_within_a_file_is_refused(slow: float, within: bool) -> None:
+    """Bars that fall through air; the end of each throw, or a third of the throws, is slowed down as phones do it."""
+    table, bars = filmed(12, rate=240.0, seconds=0.6, noise_mm=0.2, medium=Slush(density=0.0))
+    table = replace(table, y=table.y + 0.3)
+    start = table.time[0]
+    stretched = table.time.copy()
+    if within:
+        late = np.maximum(table.time - start - 0.05, 0)
+        stretched += (slow - 1) * late
+    else:
+        stretched[table.throw % 3 == 0] *= slow
+    tracks = Tracks(file="tracks.csv", fit="steps")
+    ramped = replace(table, time=stretched)
+    if slow == 1.0:
+        residual_transitions(ramped, bars, tracks, PHYSICS)
+        return
+    what = r"frames a second|slow motion is tracked with" if within else r"throw \d+.*one speed of the video throughout"
+    with pytest.raises(TrackError, match=what):
+        residual_transitions(ramped, bars, tracks, PHYSICS)
