@@ -4,7 +4,7 @@ import gc
 import os
 import signal
 
-_INTERRUPTED = 130  # as in pipeline/commands/exit_codes.py, which takes a second to import
+_INTERRUPTED = 130  # as in pipeline/commands/terminal.py, which takes a second to import
 _OBJECTS_PER_COLLECTION = 20_000  # at Python's 700, a quarter of a start-up goes to collections, which find no garbage
 
 

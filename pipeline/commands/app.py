@@ -11,26 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.cluster import prepare_process
-from pipeline.commands import study
-from pipeline.commands.compare import compare
-from pipeline.commands.compare_run import compare_run
-from pipeline.commands.doctor import doctor
-from pipeline.commands.exit_codes import Commands, exit_with
-from pipeline.commands.export import export
-from pipeline.commands.fabricate import fabricate
-from pipeline.commands.forecast import forecast
-from pipeline.commands.gc import gc
-from pipeline.commands.list_champions import list_champions
-from pipeline.commands.list_settings import list_settings
-from pipeline.commands.output import flush, to_stdout
-from pipeline.commands.score import score
-from pipeline.commands.servo_commands import drive, servo
-from pipeline.commands.simulate import simulate
-from pipeline.commands.status import status
-from pipeline.commands.studies import studies
-from pipeline.commands.track import track
-from pipeline.commands.ui import ui
-from pipeline.commands.verify import verify
+from pipeline.commands import build, care, designs, studies, study
+from pipeline.commands.servo import servo
+from pipeline.commands.terminal import Commands, exit_with, flush, to_stdout
 
 app = typer.Typer(
     cls=Commands,
@@ -44,27 +27,26 @@ app = typer.Typer(
 _PANELS: dict[str, dict[str, Callable[..., None]]] = {
     "Daily": {
         "study": study.stage_command(),
-        "status": status,
-        "studies": studies,
-        "champions": list_champions,
-        "compare": compare,
-        "export": export,
-        "simulate": simulate,
-        "score": score,
-        "ui": ui,
-        "settings": list_settings,
+        "status": studies.status,
+        "studies": studies.studies,
+        "champions": studies.champions,
+        "compare": studies.compare,
+        "export": studies.export,
+        "simulate": designs.simulate,
+        "score": designs.score,
+        "ui": studies.ui,
+        "settings": studies.settings,
     },
-    "Build": {"fabricate": fabricate, "track": track, "compare-run": compare_run},
-    "Care": {"doctor": doctor, "verify": verify, "gc": gc, "forecast": forecast},
+    "Build": {"fabricate": build.fabricate, "track": build.track, "compare-run": build.compare_run},
+    "Care": {"doctor": care.doctor, "verify": care.verify, "gc": care.gc, "forecast": care.forecast},
     "Stages": {name: study.stage_command(name) for name in study.STAGE_SUMMARIES},
 }
-_SUMMARIES = {"study": "Run every stage that is not done yet, and show the results.", **study.STAGE_SUMMARIES}
+_SUMMARIES = {"study": "Run every stage that is not done yet; show the results.", **study.STAGE_SUMMARIES}
 
 for _panel, _commands in _PANELS.items():
     for _name, _command in _commands.items():
         app.command(_name, help=_SUMMARIES.get(_name), rich_help_panel=_panel)(_command)
 app.add_typer(servo, name="servo", rich_help_panel="Build")
-app.command("drive", hidden=True)(drive)
 
 
 def _show_version(wanted: bool) -> None:

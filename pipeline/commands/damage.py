@@ -1,6 +1,5 @@
 """Damage: hash a whole store again, name what is damaged or missing and what will be computed again."""
 
-import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -11,11 +10,7 @@ from pipeline.workflow.progress import Progress, Work
 
 
 def find_damage(
-    store: Store,
-    study: str | None = None,
-    *,
-    checked: Callable[[int], None] = lambda n_bytes: None,
-    say: Callable[[str], None] = lambda line: None,
+    store: Store, study: str | None = None, *, checked: Callable[[int], None] = lambda n_bytes: None
 ) -> list[PuddleError]:
     """Return what is wrong in a store; damage to an item, or its loss, is a DamagedArtifact with its stage and key.
 
@@ -23,31 +18,24 @@ def find_damage(
         store: the store to verify.
         study: name of the only study to verify; None for the whole store.
         checked: called with the number of bytes checked, file by file.
-        say: called with a line about what was skipped.
     """
     wrong = store.verify(study, checked=checked)
     for name in store.studies(recorded=False) if study is None else ():
-        if store.driver_of(name):  # it has just started, and is about to write the record
-            continue
-        path = store.study_path(name) / "study.json"
-        wrong.append(DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}"))
+        if not store.driver_of(name):  # else it has just started, and is about to write the record
+            path = store.study_path(name) / "study.json"
+            wrong.append(DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}"))
     for name in store.studies() if study is None else (study,):
-        wrong += _missing(store, name, say)
+        driven = store.driver_of(name)  # before the record is read: a driver writes the record, then the report
+        for item in _items(store, name):
+            try:
+                wrong += _check_item(store, name, item, with_report=not driven)
+            except PuddleError as error:
+                wrong.append(error)
     return list({str(error): error for error in wrong}.values())  # a damaged manifest is found twice
 
 
-def _missing(store: Store, name: str, say: Callable[[str], None]) -> Iterator[PuddleError]:
-    """Check that a study's items exist, and that the exported report equals the item in the store."""
-    if driver := store.driver_of(name):  # before the record is read: a driver writes the record, then the report
-        say(f"study {name} is driven by {driver}: the copy of its report was not checked.")
-    for item in _items(store, name):
-        try:
-            yield from _check_item(store, name, item, with_report=not driver)
-        except PuddleError as error:
-            yield error
-
-
 def _check_item(store: Store, name: str, item: StudyItem, *, with_report: bool) -> Iterator[PuddleError]:
+    """Check that a study's item exists, and that the exported report equals the item in the store."""
     manifest = store.listing(item.stage, item.key)
     if manifest is None:
         path = store.manifest_path(item.stage, item.key)
@@ -71,24 +59,6 @@ def _items(store: Store, name: str) -> Sequence[StudyItem]:
     return record.items if record else ()
 
 
-def damaged_items(wrong: Sequence[PuddleError]) -> set[tuple[str, str]]:
-    """Return stage and key of the damaged items."""
-    damage = [error for error in wrong if isinstance(error, DamagedArtifact)]
-    return {(error.stage, error.key) for error in damage if error.stage and error.key}
-
-
-def _uncommitted_lines(store: Store, wrong: Sequence[PuddleError]) -> Iterator[str]:
-    """Count the items that have files but no manifest, except those that a study lists."""
-    uncommitted = {(stage, key) for stage in store.stages() for key in store.keys(stage, committed=False)}
-    n_items = sum(store.item_bytes(*item) > 0 for item in uncommitted - damaged_items(wrong))
-    if n_items:
-        remove = shlex.join(["puddle", "gc", "--remove", "--store", str(store.root)])
-        yield (
-            f"{n_items:,} unfinished items: files without a manifest, which is written last. A running driver will "
-            f"finish its own; `{remove}` removes what a killed driver left, or what lost its manifest."
-        )
-
-
 @dataclass(frozen=True)
 class Verification:
     """The result of hashing a store, or one of its studies, again."""
@@ -100,7 +70,6 @@ class Verification:
     problems: tuple[str, ...]
     damaged: tuple[str, ...]  # what has to be computed again, each a study's item
     discarded: bool  # whether the damaged items were removed
-    notes: tuple[str, ...]  # what was skipped or is unfinished
 
     @property
     def intact(self) -> bool:
@@ -116,24 +85,19 @@ def verify(store: Store, study: str | None, *, discard: bool, progress: Progress
         study: name of the only study to verify; None for the whole store.
         discard: whether to remove the damaged items. The caller then holds the store alone.
         progress: the progress display.
-
-    Returns:
-        The problems, what has to be computed again, and what was skipped or is unfinished.
     """
     n_bytes = store.bytes_to_verify(study)
-    notes: list[str] = []
 
     def megabytes(n: int) -> Work:
         return Work(n / 1e6, cost=n / 1e6)
 
     with progress.stage("verify", unit="MB", total=megabytes(n_bytes)) as bar:
-        wrong = find_damage(store, study, checked=lambda n_checked: bar.advance(megabytes(n_checked)), say=notes.append)
+        wrong = find_damage(store, study, checked=lambda n_checked: bar.advance(megabytes(n_checked)))
     if study is None:
-        notes += _uncommitted_lines(store, wrong)
         n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
     else:
         n_items = len(_items(store, study))
-    damaged = damaged_items(wrong)
+    damaged = {(one.stage, one.key) for one in wrong if isinstance(one, DamagedArtifact) and one.stage and one.key}
     used = [
         (f"study {name}: {item.stage} {item.label}", (item.stage, item.key))
         for name in (store.studies() if damaged else ())
@@ -141,29 +105,15 @@ def verify(store: Store, study: str | None, *, discard: bool, progress: Progress
         if (item.stage, item.key) in damaged
     ]
     of_none = [f"of no study: {stage} {key}" for stage, key in sorted(damaged - {item for _, item in used})]
-    if discard:
-        for stage, key in damaged:
-            store.discard(stage, key)
-    return Verification(
-        str(store.root),
-        study,
-        n_items,
-        n_bytes,
-        tuple(map(str, wrong)),
-        (*(line for line, _ in used), *of_none),
-        discard and bool(damaged),
-        tuple(notes),
-    )
+    for stage, key in damaged if discard else ():
+        store.discard(stage, key)
+    lines = (*(line for line, _ in used), *of_none)
+    problems = tuple(map(str, wrong))
+    return Verification(str(store.root), study, n_items, n_bytes, problems, lines, discard and bool(damaged))
 
 
 def verification_lines(found: Verification, *, how_to_run: Callable[[str], str]) -> Iterator[str]:
-    """Describe what was skipped, unfinished and wrong, and how to repair it.
-
-    Args:
-        found: the verification.
-        how_to_run: returns the command line that runs a command, for messages.
-    """
-    yield from found.notes
+    """Describe what is wrong, and how to repair it; ``how_to_run`` returns the command line that runs a command."""
     where = found.store if found.study is None else f"study {found.study} in {found.store}"
     if found.intact:
         yield f"{where}: {found.n_items:,} items, {found.n_bytes / 1e6:,.1f} MB: every byte is as it was committed."

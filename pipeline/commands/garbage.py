@@ -1,16 +1,11 @@
 """Garbage: items that no study of a store needs, and what killed drivers left in /tmp.
 
-A study needs the items that its record lists and the items that its settings lead to; a study that was stopped halfway
-has no record of its last stage yet. Where an item in the middle is gone (it was discarded as damaged), the settings
-lead no further. But that item will be computed again, to the same bytes, so the study also needs the items behind the
-gap. A gap is a digest that no item has. If two items have the same bytes, the loss of one leaves no gap: what an
-unfinished study needs behind it is removed, and computed again. Nothing is removed while a study is driven, or where
-it can't be determined what a study needs.
+A study needs the items that its record lists and those that its settings lead to: one that was stopped halfway has no
+record of its last stage yet. Nothing is removed while a study is driven, or where what a study needs can't be told,
+because its record is unreadable, or because an item that it lists is gone and others are made from it.
 """
 
-import contextlib
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,19 +13,17 @@ from pipeline.cluster import session
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
 from pipeline.store import disk
-from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.graph import ChainProgress, StageRun, results_of
-from pipeline.workflow.identity import to_json
+from pipeline.workflow.graph import StageRun, results_of
 from pipeline.workflow.record import settings_of
-from pipeline.workflow.stage import AnyStage, Results
+from pipeline.workflow.stage import Results
 
 
 @dataclass(frozen=True)
 class Garbage:
     """What can be removed from a store and from /tmp."""
 
-    items: tuple[tuple[str, str], ...]  # (stage, key) that no study needs, each before the items that it was made from
+    items: tuple[tuple[str, str], ...]  # (stage, key) that no study needs
     uncommitted: tuple[tuple[str, str], ...]  # (stage, key) whose commit never finished
     temporary: tuple[Path, ...]  # temporary files of studies, left by a process that died
     sessions: tuple[Path, ...]  # ray's folders in /tmp whose driver is dead
@@ -38,107 +31,46 @@ class Garbage:
 
 def find_garbage(store: Store) -> Garbage:
     """Find what no study needs, or raise a PuddleError if it can't be determined. The caller holds the whole store."""
-    committed = list(_readable(store))
-    behind_gaps = _behind_gaps(committed)
     needed: set[tuple[str, str]] = set()
     for name in (*store.studies(), *store.studies(recorded=False)):
         try:
-            needed.update(_needs(store, name, behind_gaps))
+            needed.update(_needs(store, name))
         except PuddleError as error:
             raise PuddleError(
                 f"{error}\nSo puddle can't determine what study {name} needs, and nothing is removed. Run the study "
                 f"again, or delete {store.study_path(name)} to forget it; then collect garbage."
             ) from error
-    stages = store.stages()
-    unneeded = [(stage, key) for stage in stages for key in store.keys(stage) if (stage, key) not in needed]
-    users_first = _users_first([one for one in committed if (one.stage, one.key) not in needed])
     return Garbage(
-        items=tuple(dict.fromkeys([*((one.stage, one.key) for one in users_first), *unneeded])),
-        uncommitted=tuple((stage, key) for stage in stages for key in store.keys(stage, committed=False)),
+        items=tuple(item for item in _items(store, committed=True) if item not in needed),
+        uncommitted=tuple(_items(store, committed=False)),
         temporary=tuple(store.temporary()),
         sessions=tuple(session.abandoned_sessions()),
     )
 
 
-def _readable(store: Store) -> Iterator[Manifest]:
-    """Yield every manifest that is neither damaged nor a newer puddle's."""
-    for stage in store.stages():
-        for key in store.keys(stage):
-            with contextlib.suppress(PuddleError):
-                if manifest := store.listing(stage, key):
-                    yield manifest
+def _items(store: Store, *, committed: bool) -> Iterator[tuple[str, str]]:
+    yield from ((stage, key) for stage in store.stages() for key in store.keys(stage, committed=committed))
 
 
-def _made_from(manifest: Manifest) -> list[str]:
-    """Return the digests of an item's inputs; a sealed manifest may still be a stranger's and hold anything."""
-    inputs = manifest.identity.get("inputs")
-    return sorted({one for one in inputs.values() if isinstance(one, str)}) if isinstance(inputs, dict) else []
-
-
-def _behind_gaps(committed: Sequence[Manifest]) -> list[Manifest]:
-    """Return the items that were made, directly or indirectly, from an item that is gone."""
-    users: dict[str, list[Manifest]] = defaultdict(list)
-    for one in committed:
-        for digest in _made_from(one):
-            users[digest].append(one)
-    gone = list(users.keys() - {one.digest for one in committed})
-    behind: dict[tuple[str, str], Manifest] = {}
-    while gone:
-        for user in users.get(gone.pop(), ()):
-            if (user.stage, user.key) not in behind:
-                behind[user.stage, user.key] = user
-                gone.append(user.digest)
-    return list(behind.values())
-
-
-def _users_first(garbage: Sequence[Manifest]) -> list[Manifest]:
-    """Order items so that each comes before those that it was made from.
-
-    Removal in this order never creates a gap: if this process dies, the next one finds the rest of the garbage.
-    """
-    n_users = Counter(digest for one in garbage for digest in _made_from(one))
-    of_digest: dict[str, list[Manifest]] = defaultdict(list)
-    for one in garbage:
-        of_digest[one.digest].append(one)
-    ordered = [one for one in garbage if not n_users[one.digest]]
-    for one in ordered:  # the loop appends to it
-        for digest in _made_from(one):
-            n_users[digest] -= 1
-            if not n_users[digest]:
-                ordered += of_digest[digest]
-    return ordered
-
-
-def _in_reach(stage: AnyStage, chains: Sequence[ChainProgress], behind_gaps: Sequence[Manifest]) -> list[Manifest]:
-    """Return the items behind gaps that belong to a stage's unfinished chains.
-
-    Their keys can't be computed while their inputs are gone, but an item's specification contains its chain's.
-    """
-    unfinished = [to_json(progress.chain.spec) for progress in chains if not progress.finished]
-    found = []
-    for one in behind_gaps:
-        spec = one.identity.get("spec")
-        if (one.stage, one.identity.get("version")) == (stage.name, stage.version) and isinstance(spec, dict):
-            found += [one] if any(of_chain in (spec, *spec.values()) for of_chain in unfinished) else []
-    return found
-
-
-def _needs(store: Store, name: str, behind_gaps: Sequence[Manifest]) -> Iterator[tuple[str, str]]:
+def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
     """Yield stage and key of every item that a study needs."""
     record = store.read_study(name)
     if record is None:
         raise PuddleError(f"{store.study_path(name) / 'study.json'}: expected a study's record, found no file.")
+    for item in record.items:
+        if store.manifest(item.stage, item.key) is None:
+            path = store.manifest_path(item.stage, item.key)
+            raise PuddleError(f"{path}: expected study {name}'s {item.stage} {item.label}, found no file.")
+        yield item.stage, item.key
     damage: list[str] = []
     settings = settings_of(record)
     upstream: dict[str, Results] = {}
     for stage in STAGES:
         chains = StageRun(stage, settings, upstream, store, damage.append).chains()
         upstream[stage.name] = results_of(stage, chains)
-        found = [manifest for progress in chains for manifest in progress.manifests]
-        yield from ((stage.name, one.key) for one in (*found, *_in_reach(stage, chains, behind_gaps)))
+        yield from ((stage.name, manifest.key) for progress in chains for manifest in progress.manifests)
     if damage:
         raise PuddleError(damage[0])
-    yield from ((item.stage, item.key) for item in record.items)
 
 
 def remove_garbage(store: Store, garbage: Garbage) -> None:

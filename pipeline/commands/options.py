@@ -7,6 +7,8 @@ import inspect
 import json
 import os
 import shlex
+import shutil
+import sysconfig
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, is_dataclass
@@ -16,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from pipeline.cluster import Cluster, ray_cluster, serial_cluster
-from pipeline.commands.output import to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -42,7 +43,13 @@ def _names_of_presets(incomplete: str) -> list[str]:
     return [name for name in preset_names() if name.startswith(incomplete)]
 
 
+_A_STUDY = "A study of the store: its recorded settings and results."
 StorePath = Annotated[Path, typer.Option("--store", envvar=_STORE_VARIABLE, help="The folder that holds results.")]
+StudyArgument = Annotated[str, typer.Argument(metavar="NAME", autocompletion=names_of_studies, help=_A_STUDY)]
+OptionalStudy = Annotated[str | None, typer.Argument(metavar="[NAME]", autocompletion=names_of_studies, help=_A_STUDY)]
+StudyName = Annotated[
+    str | None, typer.Option("--study", metavar="NAME", autocompletion=names_of_studies, help=_A_STUDY)
+]
 Workers = Annotated[
     int | None, typer.Option("--workers", min=0, help="Cores of this machine to use; default all, 0 runs without Ray.")
 ]
@@ -50,19 +57,7 @@ TrackingUri = Annotated[
     str | None,
     typer.Option("--tracking-uri", envvar="MLFLOW_TRACKING_URI", help="An MLflow server; default a file in the store."),
 ]
-StudyName = Annotated[
-    str | None,
-    typer.Option(
-        "--study", metavar="NAME", autocompletion=names_of_studies, help="A study of the store: its recorded settings."
-    ),
-]
-StudyArgument = Annotated[
-    str, typer.Argument(metavar="NAME", autocompletion=names_of_studies, help="A study of the store.")
-]
-SimulatedIn = Annotated[
-    str, typer.Option("--environment", help="The environment, such as true_slush; a wrong name lists them all.")
-]
-GroundDepth = Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
 MARKERS_OPTION = typer.Option("--markers", help="Which tag is where: markers.yaml of a throwing kit.")
 LensVideo = Annotated[
     Path | None, typer.Option("--lens", help="A video of the printed board, which calibrates the lens.")
@@ -73,17 +68,20 @@ Slowdown = Annotated[
         "--slowdown", min=0.01, help="Factor by which the video is slowed down: 8 for 240 frames/s that play at 30."
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
 
 
-def print_json(document: Any) -> None:
-    """Print a JSON document on standard output."""
-    to_stdout(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+def program() -> str:
+    """Return how this installation's command is called from the working folder: `puddle` in an active environment."""
+    own = Path(sysconfig.get_path("scripts")) / "puddle"
+    found = shutil.which("puddle")
+    if not own.exists() or (found is not None and own.samefile(found)):
+        return "puddle"
+    return str(own.relative_to(Path.cwd()) if own.is_relative_to(Path.cwd()) else own)
 
 
 @dataclass(frozen=True)
-class StudyOptions:
-    """Options that choose a study: its settings, and the store that holds its results."""
+class SettingsOptions:
+    """Options that choose the settings of a study, and the store that holds its results."""
 
     study: StudyName = None
     preset: Annotated[
@@ -106,22 +104,20 @@ class StudyOptions:
 
     def __post_init__(self) -> None:
         """Refuse more than one source of settings."""
-        if len(given := self._given()) > 1:
-            got = " with ".join(shlex.join(words) for words in given)
-            raise PuddleError(f"expected only one of --study, --preset and --settings, got {got}")
+        options = {"--study": self.study, "--preset": self.preset, "--settings": self.settings_file}
+        if len(given := [f"{option} {value}" for option, value in options.items() if value is not None]) > 1:
+            raise PuddleError(
+                f"expected only one of a study's name, --preset and --settings, got {' with '.join(given)}"
+            )
 
     def settings(self) -> Settings:
         """Load the settings: those on record for a study that is named, else those of a file or a preset.
 
         Tracks that they name are read, so that the settings know their digests.
         """
-        from pipeline.stages.tracked import with_tracks
-
-        return with_tracks(self._loaded(), self.tracks)
-
-    def _loaded(self) -> Settings:
         from pipeline.config.loading import load, parse, preset_path
         from pipeline.config.settings import Settings
+        from pipeline.stages.tracked import with_tracks
         from pipeline.workflow.record import settings_of
 
         overrides = list(self.overrides or ())
@@ -129,26 +125,20 @@ class StudyOptions:
             # Settings of tracks are valid only beside the file.
             overrides = ["throws.source=tracks", f"tracks.file={json.dumps(str(self.tracks))}", *overrides]
         if self.study is None:
-            path = self.settings_file or preset_path(_DEFAULT_PRESET if self.preset is None else self.preset)
-            return load(Settings, path, overrides)
-        recorded = settings_of(self._record(self.study))
-        if not overrides:
-            return recorded
-        name = f"the settings of study {self.study}"
-        return parse(Settings, recorded.model_dump_json(), name=name, overrides=overrides)
+            chosen = load(Settings, self.settings_file or preset_path(self._preset), overrides)
+        else:
+            recorded = settings_of(self._record(self.study)).model_dump_json()
+            chosen = parse(Settings, recorded, name=f"the settings of study {self.study}", overrides=overrides)
+        return with_tracks(chosen, self.tracks)
 
     @property
     def source(self) -> str:
         """Where the settings come from, for the study's record: "preset laptop", or the path of a settings file."""
         if self.study is not None:
             return self._record(self.study).source
-        return (
-            str(self.settings_file.resolve())
-            if self.settings_file
-            else f"preset {_DEFAULT_PRESET if self.preset is None else self.preset}"
-        )
+        return str(self.settings_file.resolve()) if self.settings_file else f"preset {self._preset}"
 
-    def open_store(self, *, create: bool) -> Store:
+    def open_store(self, *, create: bool = False) -> Store:
         """Open the store."""
         from pipeline.store.store import Store
 
@@ -161,13 +151,14 @@ class StudyOptions:
         root = disk.resolved(self.store)
         with disk.explained("looking for a store", root):
             exists = (root / "store.json").exists()
-        return self.open_store(create=False) if exists else None
+        return self.open_store() if exists else None
 
     def command(self, name: str) -> str:
         """Return the command line that runs another command with the same options."""
-        words = ["puddle", name]
-        for given in self._given():
-            words += given if given != ["--preset", _DEFAULT_PRESET] else []
+        words = [program(), name]
+        words += [self.study] if self.study is not None else []
+        words += ["--preset", self._preset] if self._preset != _DEFAULT_PRESET else []
+        words += ["--settings", str(self.settings_file)] if self.settings_file else []
         for override in self.overrides or ():
             words += ["--set", override]
         words += ["--tracks", str(self.tracks)] if self.tracks else []
@@ -175,19 +166,37 @@ class StudyOptions:
             words += ["--store", str(self.store)]
         return shlex.join(words)
 
-    def named(self, study: str) -> StudyOptions:
+    def named(self, study: str) -> SettingsOptions:
         """Return the options that choose a study of the same store by its name."""
-        return StudyOptions(study=study, store=self.store)
+        return SettingsOptions(study=study, store=self.store)
+
+    @property
+    def _preset(self) -> str:
+        return _DEFAULT_PRESET if self.preset is None else self.preset
 
     def _record(self, study: str) -> StudyRecord:
+        from pipeline.config.loading import preset_names
         from pipeline.workflow.record import recorded_study
 
-        return recorded_study(self.open_store(create=False), study)
+        store = self.find_store()
+        if study in preset_names() and (store is None or study not in store.studies()):
+            raise PuddleError(f"no study is named {study}, but a preset is: --preset {study}")
+        return recorded_study(store or self.open_store(), study)
 
-    def _given(self) -> list[list[str]]:
-        """Return the options given that name a source of settings, each with its value."""
-        options = {"--study": self.study, "--preset": self.preset, "--settings": self.settings_file}
-        return [[option, str(value)] for option, value in options.items() if value is not None]
+
+@dataclass(frozen=True)
+class StudyOptions(SettingsOptions):
+    """The same options for a command whose subject is the study: its name stands alone, as in `puddle status NAME`."""
+
+    name: OptionalStudy = None
+    study: Annotated[str | None, typer.Option("--study", hidden=True)] = None  # as in earlier versions
+
+    def __post_init__(self) -> None:
+        """Take the name as the study."""
+        if self.name is not None and self.study not in (None, self.name):
+            raise PuddleError(f"expected the name of one study, got {self.name} and --study {self.study}")
+        object.__setattr__(self, "study", self.name or self.study)
+        super().__post_init__()
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,75 @@
-"""puddle studies: the studies of a store."""
+"""Commands that show what a store holds: studies, their champions and tables, and the settings behind them."""
 
+from __future__ import annotations
+
+from collections import Counter
 from dataclasses import asdict
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pipeline.commands.options import DEFAULT_STORE, AsJson, StorePath, print_json, with_options
-from pipeline.commands.output import to_stdout
+import typer
+
+from pipeline.commands.options import (
+    DEFAULT_STORE,
+    AsJson,
+    OptionalStudy,
+    StorePath,
+    StudyArgument,
+    StudyOptions,
+    TrackingUri,
+    names_of_studies,
+    program,
+    with_options,
+)
+from pipeline.commands.terminal import interruptible, print_json, to_stderr, to_stdout
+from pipeline.errors import PuddleError
+
+if TYPE_CHECKING:
+    from pipeline.results.recorded_study import Study
+
+_LINE_LENGTH = 110  # of a comparison
+
+
+@with_options
+def status(
+    options: StudyOptions,
+    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of everything that is done.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Print what of a study is done, running, failed and missing.
+
+    Where the store has a study of that name, its recorded settings count, and differences from those given are named.
+    """
+    from pipeline.commands.study_status import digest_lines, shown_settings, status_lines, study_status
+
+    if digests and as_json:
+        raise PuddleError("expected --digests or --json, got both")
+    store = options.open_store()
+    settings, differences, record = shown_settings(options.settings(), store)
+    with store.lock_to_read():
+        if digests:
+            to_stdout(*digest_lines(settings, store))
+            return
+        found = study_status(settings, store, record, with_diverged=True)
+    if as_json:
+        print_json({**asdict(found), "done": found.is_done, "settings_differ": differences})
+        return
+    to_stdout(*status_lines(found, store_bytes=store.size_bytes()))
+    if differences:
+        to_stdout(
+            "That is the study on record. The settings given differ from it (recorded → given):",
+            *(f"  {line}" for line in differences),
+            f"`{options.command('forecast')}` shows what they would need.",
+        )
+    elif record is None and (names := store.studies()):
+        to_stdout(f"The store has no study {settings.name}, but {', '.join(names)}: `{program()} status NAME`.")
 
 
 @with_options
 def studies(store: StorePath = DEFAULT_STORE, as_json: AsJson = False) -> None:
-    """List the studies of a store: what differs from the preset, progress, failures, last change, page."""
-    from pipeline.commands.study_list import describe, list_studies
+    """List the studies of a store: progress, settings, page."""
+    from pipeline.commands.study_status import describe, list_studies
     from pipeline.store.store import Store
 
     opened = Store.open(store, create=False)
@@ -21,6 +81,141 @@ def studies(store: StorePath = DEFAULT_STORE, as_json: AsJson = False) -> None:
     noun = "study" if len(listed) == 1 else "studies"
     to_stdout(f"{len(listed) or 'no'} {noun} in {opened.root} ({opened.size_bytes() / 1e6:,.1f} MB)")
     for one in listed:
-        to_stdout("")
-        for line in describe(one):
-            to_stdout(line)
+        to_stdout("", *describe(one))
+
+
+@with_options
+def champions(study: StudyArgument, store: StorePath = DEFAULT_STORE) -> None:
+    """Rank a study's champions by their displacement in True Slush."""
+    from pipeline.report.render import as_text
+    from tasks.analysis.scores import ScoredTrial
+
+    opened = _opened(study, store)
+    rows = [row for row in opened.trials() if row.status == "ok"]
+    if not rows:
+        why = "no trial has been transferred to True Slush yet, or every design diverged"
+        raise PuddleError(f"study {opened.name} has no champions: {why}")
+    ranked = sorted(rows, key=lambda row: (-row.depth, isnan(row.zero_shot), -row.zero_shot))
+    to_stdout(
+        f"study {opened.name}: champions by zero-shot displacement in True Slush",
+        f"selected for: {opened.settings.selected_for}",
+        *as_text(ScoredTrial, ranked, without=("status",)),
+    )
+    if n_without := len(opened.settings.grid.trials()) - len(rows):
+        to_stdout(f"\n{n_without} of {len(rows) + n_without} trials have no champion yet, or every design diverged.")
+    export_them = StudyOptions(name=opened.name, store=store).command("export")
+    to_stdout(f"\n`{export_them} --out {opened.name}` writes the design file of each.")
+
+
+@with_options
+def compare(
+    a: StudyArgument,
+    b: Annotated[
+        str | None, typer.Argument(metavar="[B]", autocompletion=names_of_studies, help="The reference, a study.")
+    ] = None,
+    arms: Annotated[
+        tuple[str, str] | None, typer.Option("--arms", help="Two arms of one study, such as designed_throws dry_land.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write the table, too: .html, .md, .tex, .csv or .json.")
+    ] = None,
+    store: StorePath = DEFAULT_STORE,
+    store_b: Annotated[Path | None, typer.Option("--store-b", help="The store of B, if it is another.")] = None,
+) -> None:
+    """Compare two studies, or two arms of one.
+
+    Each arm is compared with the same arm at every depth: the difference A - B, its interval, and a verdict.
+    """
+    from pipeline.report.comparison_page import SUFFIXES, written_comparison
+    from pipeline.report.render import as_text
+    from pipeline.results.comparisons import compare_arms, compare_studies
+    from pipeline.store import disk
+    from tasks.analysis.comparison import VERDICTS, Comparison
+
+    if (b is None) == (arms is None):
+        raise PuddleError("expected two studies, or one study and --arms A B")
+    if out is not None and (out.suffix not in SUFFIXES or not out.parent.is_dir() or out.exists()):
+        expected = f"a new file that ends in {', '.join(SUFFIXES)}, in an existing folder"
+        raise PuddleError(f"--out: expected {expected}, got {out}{', which exists' if out.exists() else ''}")
+    first = _opened(a, store)
+    if arms is not None:
+        compared = compare_arms(first, *arms)
+    else:
+        compared = compare_studies(first, _opened(str(b), store_b or store))
+    to_stdout(f"A: {compared.a}; B: {compared.b}, the reference")
+    to_stdout(*(f"  {name}: {of_a} → {of_b}" for name, of_a, of_b in compared.changes))
+    to_stdout(compared.caution, *as_text(Comparison, compared.rows, compared.without, width=_LINE_LENGTH))
+    counts = Counter(row.verdict for row in compared.rows)
+    listed = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+    to_stdout(
+        f"\n{len(compared.rows)} comparisons: {listed}. They agree if the interval lies within what is negligible."
+    )
+    if out is not None:
+        with disk.explained("writing the comparison", out, advice="choose another file"):
+            out.write_text(written_comparison(compared, out.suffix), encoding="utf-8")
+        to_stdout(f"\nWritten: {out}")
+
+
+@with_options
+def export(
+    study: StudyArgument,
+    out: Annotated[Path, typer.Option("--out", help="A new folder, or an earlier export to replace.")],
+    tables: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--table", help="Write only this table; repeat for several. Default: all but the histories of designs."
+        ),
+    ] = None,
+    kind: Annotated[Literal["parquet", "csv"], typer.Option("--format", help="Format of the tables.")] = "parquet",
+    store: StorePath = DEFAULT_STORE,
+) -> None:
+    """Write champions, tables, figures and LaTeX to a folder.
+
+    The histories, all designs that ever lived, may be gigabytes: --table histories --table adaptations writes them.
+    """
+    from pipeline.results.export_folder import export_study
+
+    with interruptible():
+        to_stdout(*export_study(_opened(study, store), out, kind, tables=tables, say=to_stderr))
+
+
+@with_options
+def ui(
+    study: OptionalStudy = None,
+    store: StorePath = DEFAULT_STORE,
+    tracking_uri: TrackingUri = None,
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port on the loopback interface.")] = 5000,
+) -> None:
+    """Show a store's studies, or the runs of one, in MLflow."""
+    from pipeline.store.store import Store
+    from pipeline.tracking.server import show_ui
+
+    with interruptible():
+        root = store if tracking_uri else Store.open(store, create=False).root
+        show_ui(root, port, uri=tracking_uri or None, study=study)
+
+
+@with_options
+def settings(
+    options: StudyOptions,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of settings files, for an editor.")
+    ] = False,
+) -> None:
+    """Print every setting with its unit, reason and value.
+
+    The text is a file to start your own from. Editors check and complete a settings file by the schema: save it as
+    puddle.schema.json, and begin the file with `# yaml-language-server: $schema=puddle.schema.json`.
+    """
+    from pipeline.config.annotated import annotated_lines, json_schema
+
+    if schema:
+        print_json(json_schema())
+    else:
+        to_stdout(*annotated_lines(options.settings()))
+
+
+def _opened(study: str, store: Path) -> Study:
+    from pipeline.results.recorded_study import open_study
+
+    return open_study(study, store, say=to_stderr)

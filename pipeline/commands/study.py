@@ -1,5 +1,7 @@
 """puddle study, and one command per stage: run what is not done yet."""
 
+from __future__ import annotations
+
 import functools
 from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
@@ -8,32 +10,26 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.cluster import Cluster
-from pipeline.commands.exit_codes import INCOMPLETE, interruptible
-from pipeline.commands.options import ExecutionOptions, StudyOptions, with_options
-from pipeline.commands.output import to_stderr, to_stdout
+from pipeline.commands.options import ExecutionOptions, SettingsOptions, StudyOptions, with_options
+from pipeline.commands.terminal import INCOMPLETE, interruptible, to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
     from pipeline.store.store import Store
     from pipeline.workflow.dispatcher import Limits
-    from pipeline.workflow.stage import AnyStage
+    from pipeline.workflow.stage import AnyStage, Upstream
 
 STAGE_SUMMARIES = {
-    "collect": "Throw rectangles into slush and record what the base simulator gets wrong.",
+    "collect": "Throw rectangles into slush: what the simulator gets wrong.",
     "train": "Train the ensemble of residual networks on the throws.",
     "pilot": "Check whether the throws cover what robots do.",
     "evolve": "Evolve designs in every environment, at every depth.",
-    "transfer": "Score champions in True Slush, zero-shot and with adapted controllers.",
-    "assess": "Compare the networks' predictions of designs with their true displacement.",
-    "analyse": "Compute statistics, the comparison with the paper, and where the networks hallucinate.",
+    "transfer": "Score champions in True Slush, zero-shot and adapted.",
+    "assess": "Compare the networks' predictions with true displacements.",
+    "analyse": "Compute statistics, and where the networks hallucinate.",
     "report": "Write the page that shows the results.",
 }
-
-_ADVICE_ON_DIVERGENCE = (
-    "Rollouts in a sound world stay finite: check the settings of physics and slush, and the networks' errors on the\n"
-    "page. The same settings give the same result again; finished work is safe."
-)
 
 
 def stage_command(*stages: str) -> Callable[..., None]:
@@ -71,7 +67,7 @@ def run_stages(
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
     recompute: Collection[str] = (),
     tracking_uri: str | None = None,
-    limits: "Limits | None" = None,
+    limits: Limits | None = None,
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE.
 
@@ -86,7 +82,6 @@ def run_stages(
     Raises:
         PuddleError: the stages to recompute are not among those to run.
     """
-    from pipeline.commands.headline import headline_lines
     from pipeline.commands.time_model import expected_seconds
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
@@ -118,22 +113,52 @@ def run_stages(
             limits=limits or Limits(),
         )
     if wanted[-1] is STAGES[-1]:
-        for line in headline_lines(settings, upstream, store, how_to_run=options.named(settings.name).command):
-            to_stdout(line)
-    found = upstream.items()
-    failed = [f"{name}: {identity.label}: {why}" for name, results in found for identity, why in results.failed.items()]
+        _show_headline(settings, upstream, store, options.named(settings.name))
+    failed = [
+        f"{name}: {identity.label}: {why}" for name, of in upstream.items() for identity, why in of.failed.items()
+    ]
     diverged = [
-        f"{name}: {identity.label}: {what}" for name, results in found for identity, what in results.diverged.items()
+        f"{name}: {identity.label}: {what}" for name, of in upstream.items() for identity, what in of.diverged.items()
     ]
     if failed:
         to_stderr("\n".join([f"{len(failed)} chains of work failed; the rest is done:", *failed]))
     if diverged:
-        to_stderr("\n".join(["Designs diverged; the rest is done:", *diverged, _ADVICE_ON_DIVERGENCE]))
+        to_stderr(
+            "\n".join(["Designs diverged; the rest is done:", *diverged])
+            + "\nRollouts in a sound world stay finite: check the settings of physics and slush, and the networks' "
+            "errors on the page.\nThe same settings give the same result again; finished work is safe."
+        )
     if failed or diverged:
         raise typer.Exit(INCOMPLETE)
 
 
-def _discard(settings: "Settings", names: Collection[str], store: "Store") -> None:
+def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: SettingsOptions) -> None:
+    """Print the champions' displacement at the greatest depth, the page's address, and the commands to try next."""
+    from pipeline.report.render import as_text
+    from pipeline.stages.report import PAGE
+    from pipeline.stages.transfer import read_trials
+    from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
+
+    depth = max(settings.grid.depths)
+    rows = [row for row in transfer_rows(read_trials(settings, upstream["transfer"], store)) if row.depth == depth]
+    to_stdout(
+        f"\nChampions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]",
+        f"selected for: {settings.selected_for}",
+        *as_text(TransferRow, rows, TOO_WIDE),
+    )
+    page = store.export_path(settings.name) / PAGE
+    if page.is_file():
+        to_stdout(f"Open: {page.as_uri()}")
+    commands = {
+        study.command("champions"): "rank the champions",
+        f"{study.command('export')} --out {settings.name}": "take the results out",
+        study.command("ui"): "browse runs and curves in MLflow",
+    }
+    width = max(map(len, commands))
+    to_stdout("Next:", *(f"  {command:<{width}}  {what}" for command, what in commands.items()))
+
+
+def _discard(settings: Settings, names: Collection[str], store: Store) -> None:
     from pipeline.stages import STAGES
     from pipeline.workflow.graph import discard_items
 
@@ -145,30 +170,20 @@ def _discard(settings: "Settings", names: Collection[str], store: "Store") -> No
     )
 
 
-def _check_inputs(options: StudyOptions, settings: "Settings", first: "AnyStage") -> None:
+def _check_inputs(options: StudyOptions, settings: Settings, first: AnyStage) -> None:
     """Refuse a stage whose inputs are missing or bad before anything is written: no store, no record."""
     from pipeline.stages import STAGES
     from pipeline.stages.collect import COLLECT
     from pipeline.stages.tracked import check_tracks
     from pipeline.workflow.graph import ChainProgress, require, results_of, survey
 
-    earlier = STAGES[: STAGES.index(first)]
+    until = STAGES[: STAGES.index(first)] or [COLLECT]
     if (store := options.find_store()) is None:
-        plans = [(stage, [ChainProgress(chain) for chain in stage.plan(settings)]) for stage in earlier]
+        plans = [(stage, [ChainProgress(chain) for chain in stage.plan(settings)]) for stage in until]
         upstream = {stage.name: results_of(stage, chains) for stage, chains in plans}
     else:
         with store.lock_to_read():
-            upstream = survey(settings, earlier, store, say=lambda line: None)  # the driver names damage
+            upstream = survey(settings, until, store, say=lambda line: None)  # the driver names damage
     require(settings, first, STAGES, upstream, how_to_run=options.command)
-    if first is COLLECT and not _is_done(options, settings, COLLECT):
+    if first is COLLECT and upstream["collect"].unfinished:
         check_tracks(settings)
-
-
-def _is_done(options: StudyOptions, settings: "Settings", stage: "AnyStage") -> bool:
-    from pipeline.workflow.graph import survey
-
-    if settings.tracks is None or (store := options.find_store()) is None:
-        return False
-    with store.lock_to_read():
-        found = survey(settings, [stage], store, say=lambda line: None)[stage.name]
-    return not found.unfinished

@@ -1,27 +1,27 @@
-"""How far a study has got: by what its settings lead to, and by what its record lists.
-
-The settings lead to an item only as far as all items before it are there. Where one of those is damaged, was discarded
-or comes from another version of puddle, the record still lists what was made from it. That work counts as done: if the
-lost item is computed again to the same bytes, as it should be, everything behind it is used again.
-"""
+"""How far studies have got: what their records list and what their settings lead to."""
 
 from __future__ import annotations
 
-import contextlib
+import datetime
+import textwrap
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from pipeline.commands.options import program
+from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.stages import STAGES
-from pipeline.store.manifest import Manifest
+from pipeline.stages.report import PAGE
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import other_code, survey
-from pipeline.workflow.identity import ChainId, item_label
-from pipeline.workflow.record import differences, settings_of
-from pipeline.workflow.stage import AnyStage, Chain, Results
+from pipeline.workflow.record import differences, preset_of, settings_of
+from pipeline.workflow.recorded import recorded_results
+
+_LINE_LENGTH = 80
+_MOST_DIFFERENCES = 6
 
 
 @dataclass(frozen=True)
@@ -80,18 +80,7 @@ class StudyStatus:
 
 
 def shown_settings(given: Settings, store: Store) -> tuple[Settings, list[str], StudyRecord | None]:
-    """Return the settings to show for a name: those on record if there are any.
-
-    Args:
-        given: the settings that the user named.
-        store: holds the record.
-
-    Returns:
-        The settings; what differs in those given, as lines; and the record, if any.
-
-    Raises:
-        PuddleError: the record is damaged, or another version of puddle wrote it.
-    """
+    """Return the settings to show for a name, those on record if any; what differs in those given; and the record."""
     record = store.read_study(given.name)
     if record is None:
         return given, [], None
@@ -99,7 +88,7 @@ def shown_settings(given: Settings, store: Store) -> tuple[Settings, list[str], 
 
 
 def study_status(settings: Settings, store: Store, record: StudyRecord | None, *, with_diverged: bool) -> StudyStatus:
-    """Return how far a study has got.
+    """Return how far a study has got: recorded items count by their keys, whatever today's code would make of them.
 
     Args:
         settings: the study's settings.
@@ -108,95 +97,52 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
         with_diverged: whether to look for designs that diverged, which reads the curves of every trial.
     """
     notes: list[str] = []
-    upstream = survey(settings, STAGES, store, say=notes.append)
+    found = recorded_results(settings, record, STAGES, store, say=notes.append)
     driver = store.driver_of(settings.name)
-    recorded, failed = _recorded(record), _failed(record)
+    failed: dict[str, dict[str, str]] = defaultdict(dict)
+    for one in record.failed if record else ():
+        failed[one.stage][one.label] = one.why
     stages: list[StageStatus] = []
-    n_unreached, any_open = 0, False  # a driver runs the stages in order: the first open one is the one that runs
+    any_open = False  # a driver runs the stages in order: the first open one is the one that runs
     for stage in STAGES:
-        chains, found = stage.plan(settings), upstream[stage.name]
-        beyond = {one.identity: _unreached(store, stage.name, one, found, recorded) for one in chains}
-        done = {identity: {*range(found.n_done.get(identity, 0)), *manifests} for identity, manifests in beyond.items()}
-        n_done, n_items = sum(map(len, done.values())), sum(chain.n_items for chain in chains)
-        unreached = [manifest for manifests in beyond.values() for manifest in manifests.values()]
-        n_unreached += len(unreached)
-        finished = {chain.label for chain in chains if len(done[chain.identity]) == chain.n_items}
-        if n_done == n_items:
+        chains, results = stage.plan(settings), found.upstream[stage.name]
+        n_of = {chain.label: results.n_done.get(chain.identity, 0) for chain in chains}
+        finished = {chain.label for chain in chains if chain.identity in results.done}
+        n_done, n_items = sum(n_of.values()), sum(chain.n_items for chain in chains)
+        if len(finished) == len(chains):
             state = "done" if chains else "not needed"
         elif driver and not any_open:
             state = "running"
         else:
             state = "started" if n_done else "missing"
         any_open = any_open or state not in ("done", "not needed")
+        diverged: dict[str, str] = {}
+        try:
+            if with_diverged:
+                diverged = {one.label: what for one, what in stage.diverged(settings, results, store).items()}
+        except DamagedArtifact as damage:
+            notes.append(str(damage))
         stages.append(
             StageStatus(
                 stage.name,
                 state,
                 n_done,
                 n_items,
-                sum(chain.units[index] for chain in chains for index in done[chain.identity]),
+                sum(sum(chain.units[: n_of[chain.label]]) for chain in chains),
                 sum(sum(chain.units) for chain in chains),
                 stage.unit,
-                found.seconds + sum(float(manifest.record.get("seconds", 0.0)) for manifest in unreached),
-                failed={label: why for label, why in failed[stage.name].items() if label not in finished},
-                diverged=_diverged(stage, settings, found, store, notes.append) if with_diverged else {},
-                n_other_code=found.n_other_code,
+                results.seconds,
+                {label: why for label, why in failed[stage.name].items() if label not in finished},
+                diverged,
+                results.n_other_code,
             )
         )
-    notes += filter(None, [other_code(upstream)])
-    if n_unreached:
-        notes.append(
-            f"{n_unreached:,} item{'s are' if n_unreached > 1 else ' is'} on record, made from something that is "
-            f"missing, damaged or of another version of puddle. The next `puddle study` computes that again, and uses "
-            f"what is then the same."
-        )
+    notes += filter(None, [found.note(settings.name) or other_code(found.upstream)])
     return StudyStatus(settings.name, str(store.root), driver, tuple(stages), tuple(notes))
 
 
-def _recorded(record: StudyRecord | None) -> Mapping[tuple[str, str], str]:
-    """Return the keys of the items on record, by stage and label."""
-    return {(item.stage, item.label): item.key for item in record.items} if record else {}
-
-
-def _failed(record: StudyRecord | None) -> Mapping[str, Mapping[str, str]]:
-    """Return the reasons of the chains that failed in the study's last run, by stage and label."""
-    failed: dict[str, dict[str, str]] = defaultdict(dict)
-    for one in record.failed if record else ():
-        failed[one.stage][one.label] = one.why
-    return failed
-
-
-def _unreached(
-    store: Store, stage: str, chain: Chain[Any], found: Results, recorded: Mapping[tuple[str, str], str]
-) -> dict[int, Manifest]:
-    """Return the further items of a chain that the record lists and the store has, by their index in the chain."""
-    manifests: dict[int, Manifest] = {}
-    for index in range(found.n_done.get(chain.identity, 0), chain.n_items):
-        if (key := recorded.get((stage, item_label(chain, index)))) is not None:
-            with contextlib.suppress(PuddleError):  # damaged: not done
-                if manifest := store.manifest(stage, key):
-                    manifests[index] = manifest
-    return manifests
-
-
-def _diverged(
-    stage: AnyStage, settings: Settings, found: Results, store: Store, say: Callable[[str], None]
-) -> Mapping[str, str]:
-    diverged: Mapping[ChainId, str] = {}
-    try:
-        diverged = stage.diverged(settings, found, store)
-    except DamagedArtifact as damage:
-        say(f"{damage}")
-    return {identity.label: what for identity, what in diverged.items()}
-
-
 def status_lines(status: StudyStatus, *, store_bytes: int) -> Iterator[str]:
-    """Describe the study and each stage, each failed chain, and each trial whose designs diverged.
-
-    Args:
-        status: the study's status.
-        store_bytes: size of the store [bytes].
-    """
+    """Describe the study and each stage, each failed chain, and each trial whose designs diverged."""
     yield f"study {status.study} in {status.store} ({store_bytes / 1e6:.1f} MB)"
     yield f"driven by {status.driver}" if status.driver else "no process is driving it"
     for stage in status.stages:
@@ -220,3 +166,79 @@ def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
                 yield f"{manifest.digest}  {results.stage}/{chain.label}/{index}"
                 for name, entry in sorted(manifest.files.items()):
                     yield f"{entry.sha256}  {results.stage}/{chain.label}/{index}/{name}"
+
+
+@dataclass(frozen=True)
+class ListedStudy:
+    """What the list shows of a study."""
+
+    study: str
+    source: str = ""  # "preset laptop" or the path of a settings file
+    preset: str = ""  # the preset that the settings differ least from, or that they come from
+    differences: tuple[str, ...] = ()  # settings that differ from the preset's: name, value of the preset, own value
+    progress: str = ""
+    done: bool = False
+    n_failed: int = 0  # chains
+    driver: str | None = None
+    changed: str = ""  # when its record last changed, ISO 8601
+    page: str | None = None  # address of its page, if it has one
+    problem: str = ""  # why nothing else is known
+
+
+def list_studies(store: Store) -> Iterator[ListedStudy]:
+    """Describe every study of a store, which the caller has locked; a damaged one by its problem alone."""
+    presets = {name: _unnamed(load(Settings, preset_path(name)).model_dump(mode="json")) for name in preset_names()}
+    for name in store.studies():
+        try:
+            record = store.read_study(name)
+            if record is None:  # removed a moment ago
+                continue
+            status = study_status(settings_of(record), store, record, with_diverged=False)
+        except PuddleError as problem:
+            yield ListedStudy(name, problem=str(problem))
+            continue
+        changes = {preset: differences(values, _unnamed(record.settings)) for preset, values in presets.items()}
+        preset = preset_of(record.source)
+        if preset not in changes:
+            preset = min(changes, key=lambda preset_name: len(changes[preset_name]))
+        page = store.export_path(name) / PAGE
+        changed = (store.study_path(name) / "study.json").stat().st_mtime
+        yield ListedStudy(
+            name,
+            record.source,
+            preset,
+            tuple(changes[preset]),
+            status.short,
+            status.is_done,
+            sum(len(stage.failed) for stage in status.stages),
+            status.driver,
+            datetime.datetime.fromtimestamp(changed).astimezone().isoformat(sep=" ", timespec="seconds"),
+            page.as_uri() if page.is_file() else None,
+        )
+    for name in store.studies(recorded=False):
+        yield ListedStudy(name, problem=f"{store.study_path(name)} has no record, study.json")
+
+
+def _unnamed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if name != "name"}
+
+
+def describe(one: ListedStudy) -> Iterator[str]:
+    """Describe a study in lines of 80 columns; addresses and paths are never cut."""
+    if one.problem:
+        yield f"{one.study}: {one.problem}"
+        return
+    yield f"{one.study}: {one.progress}"
+    if one.n_failed:
+        yield f"  {one.n_failed} chains failed; `{program()} status {one.study}` names them"
+    n_more = len(one.differences) - _MOST_DIFFERENCES
+    shown = "; ".join(one.differences[:_MOST_DIFFERENCES]) + (f"; and {n_more} more" if n_more > 0 else "")
+    is_preset = one.preset == preset_of(one.source)
+    if one.source and not is_preset:
+        yield f"  settings from {one.source}"
+    what = f"preset {one.preset}" if is_preset else f"nearest preset {one.preset}"
+    text = f"{what}, changed: {shown}" if shown else f"{what}, unchanged"
+    yield from textwrap.wrap(text, _LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False)
+    yield f"  last change {one.changed}"
+    if one.page:
+        yield f"  {one.page}"

@@ -284,7 +284,8 @@ def viewer_values(replays: Sequence[Replay], study: str) -> dict[str, Any]:
     }
 
 
-def render_robot(replay: Replay, lines: Sequence[str]) -> str:
-    """Write a page with one robot in the viewer, below some lines of text."""
-    body = TEMPLATES.get_template("robot.html").render(replay=replay, lines=lines, **viewer_values([replay], ""))
+def render_robot(replay: Replay, lines: Sequence[str], beside: Sequence[Replay] = ()) -> str:
+    """Write a page with one robot in the viewer, below some lines of text, and with the same robot elsewhere."""
+    values = viewer_values([replay, *beside], "")
+    body = TEMPLATES.get_template("robot.html").render(replay=replay, lines=lines, **values)
     return document(title=replay.title, policy=_POLICY, body=body)

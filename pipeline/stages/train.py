@@ -7,14 +7,14 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
-from pipeline.stages.data_sets import DataSetId, NetworkId, data_set_of, data_sets, ensemble_ids, network_ids
+from pipeline.stages.data_sets import NetworkId, network_ids
 from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS
-from pipeline.store.encoding import canonical_json, decode_table, digest, encode_arrays, encode_json, encode_table
+from pipeline.store.encoding import decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
-from pipeline.tracking.run import CurvePoints, Model
-from pipeline.workflow.identity import ChainId, trials_of
+from pipeline.tracking.run import CurvePoints
+from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -30,7 +30,6 @@ from pipeline.workflow.stage import (
 )
 from tasks.residual import Architecture, ErrorRow, Training
 from tasks.seeding import replicate_seed
-from tasks.world import ENVIRONMENTS
 
 MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
 _LEARNING = "learning.parquet"
@@ -119,7 +118,7 @@ def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Report the error of each member, and the ensemble of each data set as a model."""
+    """Report the error of each member."""
     trials = [_summarise_member(store, chain, done) for chain, done in results.done.items()]
     lines = [
         f"{trial.chain.label}: relative error of vx {trial.metrics['relative_error.vx.all']:.3f}, "
@@ -127,45 +126,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s)"
         for trial in trials
     ]
-    members = {data_set: ensemble_ids(settings, data_set) for data_set in data_sets(settings)}
-    models = {
-        data_set: _ensemble(settings, data_set, [trial for trial in trials if trial.chain in own], results, store)
-        for data_set, own in members.items()
-        if all(member in results.done for member in own)
-    }
-    model_of = {
-        trial: models[data_set].digest
-        for trial in trials_of(settings, "evolve")
-        if (kind := ENVIRONMENTS[trial.environment]).networks != "none"
-        and (data_set := data_set_of(trial, kind.learns_from)) in models
-    }
-    return Summary(
-        lines=lines or ["no trial needs residual networks"],
-        trials=trials,
-        models=list(models.values()),
-        model_of=model_of,
-    )
-
-
-def _ensemble(
-    settings: Settings, data_set: DataSetId, trials: Sequence[TrialSummary], results: Results, store: Store
-) -> Model:
-    """Describe the ensemble of a data set: its members' weights, what they are, and their mean errors."""
-    weights = {
-        f"{trial.chain.label}.safetensors": store.read(results.done[trial.chain][0], WEIGHTS) for trial in trials
-    }
-    params = {
-        "network": settings.network.model_dump(mode="json"),
-        "training": settings.training.model_dump(mode="json"),
-    }
-    listed = {name: digest(content) for name, content in weights.items()}
-    return Model(
-        "-".join((settings.name, *data_set.parts, "ensemble")),
-        digest(canonical_json(listed)),
-        params={"n_members": len(weights), **params},
-        metrics={name: float(np.mean([trial.metrics[name] for trial in trials])) for name in trials[0].metrics},
-        artifacts={**weights, "ensemble.json": encode_json({**params, "sha256": listed})},
-    )
+    return Summary(lines=lines or ["no trial needs residual networks"], trials=trials)
 
 
 TRAIN = Stage(

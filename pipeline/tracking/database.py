@@ -1,17 +1,21 @@
-"""Where MLflow keeps what is mirrored: a store's own database, or a server; and whether it can be reached."""
+"""Where MLflow keeps what is mirrored: a store's own database, or a server; and puddle's experiment there."""
 
 from __future__ import annotations
 
+import contextlib
+import logging
+import os
 import socket
 import sqlite3
 import urllib.error
 import urllib.request
-from contextlib import closing
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from pipeline.errors import PuddleError
 
+EXPERIMENT = "puddle"
 MLFLOW_ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",  # its job workers outlive a SIGTERM
@@ -41,6 +45,55 @@ def database_uri(store: Path) -> str:
     return uri
 
 
+def artifacts_uri(store: Path) -> str:
+    """Return the URI of the folder for a store's artifacts."""
+    return (store.resolve() / "mlartifacts").as_uri()
+
+
+def open_client(store: Path, uri: str | None) -> Any:
+    """Return an MLflow client for a URI, or for the store's own database, which follows the store if it was moved."""
+    if uri is not None:
+        check_reachable(uri)
+    for name, value in MLFLOW_ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    from mlflow.tracking import MlflowClient
+
+    logging.getLogger("mlflow").setLevel(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)
+    if uri is None and (store / "mlflow.db").exists():
+        _follow(store)
+    return MlflowClient(uri or database_uri(store))
+
+
+def _follow(store: Path) -> None:
+    """Have the artifacts of a store's own database lie in the store: MLflow keeps the folder they were first in."""
+    here = artifacts_uri(store)
+    with contextlib.closing(sqlite3.connect(store / "mlflow.db")) as connection, contextlib.suppress(sqlite3.Error):
+        found = connection.execute("SELECT artifact_location FROM experiments WHERE name = ?", (EXPERIMENT,)).fetchone()
+        if found and found[0] != here:
+            for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
+                connection.execute(f"UPDATE {table} SET {column} = replace({column}, ?, ?)", (found[0], here))
+            connection.commit()
+
+
+def experiment_id(client: Any) -> str | None:
+    """Return the ID of puddle's experiment, restored if it was deleted; None if there is none."""
+    found = client.get_experiment_by_name(EXPERIMENT)
+    if found is not None and found.lifecycle_stage == "deleted":
+        client.restore_experiment(found.experiment_id)
+    return None if found is None else str(found.experiment_id)
+
+
+def explained(error: Exception, store: Path, uri: str | None) -> str:
+    """Say in a sentence why MLflow fails, and what to do."""
+    place = uri or str(store / "mlflow.db")
+    reason = (str(error) or type(error).__name__).splitlines()[0]
+    if "schema" in reason or "revision" in reason:
+        reason = "it was made by another version of MLflow"
+    advice = "; delete it, and `puddle study` rebuilds it from the store" if uri is None else ""
+    return f"{place}: MLflow cannot use it: {reason}{advice}"
+
+
 def check_reachable(uri: str) -> None:
     """Check within seconds that a server answers, where MLflow itself would try for minutes.
 
@@ -65,21 +118,3 @@ def check_reachable(uri: str) -> None:
         socket.create_connection((parts.hostname, port), timeout=_SECONDS_TO_ANSWER).close()
     except OSError as error:
         raise PuddleError(f"{parts.hostname}:{port} does not answer ({error})") from None
-
-
-def check_own_database(store: Path) -> None:
-    """Check that a store has a database that MLflow can use. Raises PuddleError otherwise."""
-    database = store / "mlflow.db"
-    if not database.is_file():
-        raise PuddleError(f"{store}: expected mlflow.db, found none. `puddle study` creates it.")
-    try:
-        with closing(sqlite3.connect(database)) as connection:
-            connection.execute("BEGIN IMMEDIATE")  # MLflow writes even when it only reads
-            sound = connection.execute("PRAGMA quick_check(1)").fetchone() == ("ok",)
-    except sqlite3.Error as error:
-        raise PuddleError(
-            f"{database}: MLflow cannot use it: {error}. Make it writable; or, if it is damaged, delete it and run "
-            f"`puddle study` again, which rebuilds it from the store."
-        ) from error
-    if not sound:
-        raise PuddleError(f"{database}: damaged. Delete it and run `puddle study` again, which rebuilds it.")

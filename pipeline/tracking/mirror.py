@@ -3,23 +3,20 @@
 Every run carries puddle's own keys as tags and is found by them, and only what is missing or different is sent. So
 mirroring twice changes nothing, a mirror that fell behind catches up, and one that was deleted is rebuilt by running
 the same command again. If MLflow fails, the study goes on: one warning, and the next call sends what is pending.
-
-MLflow takes two seconds to import, so it is imported with the first stage to mirror, and not before a look at whether
-its database can be reached.
+MLflow takes two seconds to import, so it is imported with the first stage to mirror.
 """
 
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 from pipeline.locks import wait_for_lock
-from pipeline.tracking.database import MLFLOW_ENVIRONMENT, check_reachable, database_uri
-from pipeline.tracking.mlflow_writer import EXPERIMENT, Experiment
+from pipeline.tracking.database import EXPERIMENT, artifacts_uri, experiment_id, explained, open_client
+from pipeline.tracking.mlflow_writer import Experiment
 from pipeline.tracking.run import Run
 
 _SECONDS_TO_WAIT, _SECONDS_WHEN_WARNED = 60.0, 2.0  # for another driver of the store that writes to its database [s]
@@ -54,8 +51,6 @@ class Tracker:
         *_, pending = self._pending.get((study.key, stage.key), ({},))
         self._pending[study.key, stage.key] = study, stage, pending | {trial.key: trial for trial in trials}
         try:
-            if self._uri is not None:
-                check_reachable(self._uri)
             with self._database(_SECONDS_WHEN_WARNED if self._warned else _SECONDS_TO_WAIT):
                 if self._experiment is None:
                     self._experiment = _open_experiment(self._store, self._uri)
@@ -66,12 +61,7 @@ class Tracker:
             self._experiment = None  # what MLflow holds is asked again
             if not self._warned:
                 self._warned = True
-                reason = (str(error) or "no reason given").splitlines()[0]
-                self._say(
-                    f"MLflow at {self._uri or self._store / 'mlflow.db'} failed: {type(error).__name__}: {reason}\n"
-                    f"The study continues without it. What is missing in MLflow is sent when it works again, or by the "
-                    f"same command later; a damaged mlflow.db may be deleted."
-                )
+                self._say(f"{explained(error, self._store, self._uri)}. The study continues without MLflow.")
 
     def stop(self, study: Run, status: Literal["KILLED", "FAILED"]) -> None:
         """Mark the runs of a study that have not ended. Errors of MLflow are ignored: the study is about to end.
@@ -98,15 +88,10 @@ class Tracker:
 
 
 def _open_experiment(store: Path, uri: str | None) -> Experiment:
-    for name, value in MLFLOW_ENVIRONMENT.items():
-        os.environ.setdefault(name, value)
-    from mlflow.tracking import MlflowClient
-
-    logging.getLogger("mlflow").setLevel(logging.WARNING)
-    client = MlflowClient(uri or database_uri(store))
-    found = client.get_experiment_by_name(EXPERIMENT)
-    if found is not None:
-        return Experiment(client, found.experiment_id)
-    location = None if uri else (store.resolve() / "mlartifacts").as_uri()
-    kind = {"mlflow.experimentKind": "custom_model_development"}  # MLflow's pages show runs rather than traces
-    return Experiment(client, client.create_experiment(EXPERIMENT, artifact_location=location, tags=kind))
+    client = open_client(store, uri)
+    found = experiment_id(client)
+    if found is None:
+        location = None if uri else artifacts_uri(store)
+        kind = {"mlflow.experimentKind": "custom_model_development"}  # MLflow's pages show runs rather than traces
+        found = client.create_experiment(EXPERIMENT, artifact_location=location, tags=kind)
+    return Experiment(client, found)

@@ -1,4 +1,4 @@
-"""Writes runs to MLflow: the experiment that holds them, and the difference between it and what it should hold."""
+"""Writes runs to MLflow: the difference between what its experiment holds and what it should hold."""
 
 from __future__ import annotations
 
@@ -13,16 +13,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.tracking.run import CurvePart, Model, Run
-
-EXPERIMENT = "puddle"
+from pipeline.tracking.run import CurvePart, Run
 
 _MAX_METRICS = 800  # per log_batch, which takes 1,000 metrics, parameters and tags together
 _MAX_PARAMS = 100  # per log_batch; tags too
-_DATASET_DIGEST_LENGTH = 36  # characters that MLflow stores; the whole digest is in the data set's source
-_MODEL, _MODEL_READ = "puddle.model", "puddle.model_read"
 _CURVES, _FILES, _DESCRIPTION = "puddle.curves", "puddle.files", "mlflow.note.content"
-"""Tags. All but the last one say what has been sent."""
+"""Tags. The first two say what has been sent."""
 
 _Slot = tuple[str, str]  # a run's kind and key
 
@@ -32,13 +28,11 @@ class _Sent:
     """What MLflow holds of a run."""
 
     id: str
-    started: int  # [ms since 1970]
     status: str = "RUNNING"
     ended: int | None = None  # [ms since 1970]
     params: set[str] = field(default_factory=set)
     tags: dict[str, str] = field(default_factory=dict)
     metrics: dict[str, float] = field(default_factory=dict)
-    data_sets: set[tuple[str, str]] = field(default_factory=set)
     curves: str | None = None  # value of the tag for the parts that were sent; MLflow has it once the run has ended
 
 
@@ -49,7 +43,6 @@ class Experiment:
     client: Any
     id: str
     _studies: dict[str, dict[_Slot, _Sent]] = field(default_factory=dict)
-    _model_ids: dict[str, list[str]] = field(default_factory=dict)  # by digest
 
     def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
         """Send what MLflow lacks of a study, one of its stages, and some of that stage's trials.
@@ -64,16 +57,16 @@ class Experiment:
         sent = self._studies[study.key]
         shared = {**study.tags, "study": study.name, "study_digest": study.key}
         parent = self._update(study, ("study", study.key), shared, sent)
-        shared["mlflow.parentRunId"] = parent.id
-        shared["stage"] = stage.name
+        shared |= {"mlflow.parentRunId": parent.id, "stage": stage.name}
         child = self._update(stage, ("stage", stage.key), shared, sent)
         shared["mlflow.parentRunId"] = child.id
         for trial in trials:
             self._update(trial, ("trial", f"{stage.key}/{trial.key}"), shared, sent)
         for slot, files in stage.attachments.items():
             if slot in sent:
-                for tag in self._send_files(sent[slot], files, f"{_FILES}.{stage.name}").items():
-                    self._set_tag(sent[slot], *tag)
+                for tag, digest in self._send_files(sent[slot], files, f"{_FILES}.{stage.name}").items():
+                    self.client.set_tag(sent[slot].id, tag, digest)
+                    sent[slot].tags[tag] = digest
 
     def stop(self, study_key: str, status: str) -> None:
         """Give the runs of a study that have not ended another status, the study's own first."""
@@ -90,13 +83,22 @@ class Experiment:
         while page is None or page.token:
             token = page.token if page else None
             page = self.client.search_runs([self.id], f"tags.study_digest = '{study_key}'", page_token=token)
-            runs |= {(run.data.tags["puddle.kind"], run.data.tags["puddle.key"]): _sent(run) for run in page}
+            for run in page:
+                info, data = run.info, run.data
+                runs[data.tags["puddle.kind"], data.tags["puddle.key"]] = _Sent(
+                    info.run_id,
+                    info.status,
+                    info.end_time,
+                    set(data.params),
+                    dict(data.tags),
+                    dict(data.metrics),
+                    data.tags.get(_CURVES),
+                )
         return runs
 
     def _update(self, wanted: Run, slot: _Slot, shared: Mapping[str, str], existing: dict[_Slot, _Sent]) -> _Sent:
         """Send what MLflow lacks of a run, its status last; return what it then holds."""
-        tags = {f"puddle.output.{name}": digest for name, digest in wanted.outputs.items()}
-        tags |= {**shared, **wanted.tags, "puddle.kind": slot[0], "puddle.key": slot[1]}
+        tags = {**shared, **wanted.tags, "puddle.kind": slot[0], "puddle.key": slot[1]}
         if wanted.description:
             tags[_DESCRIPTION] = wanted.description
         run = existing.get(slot)
@@ -104,17 +106,11 @@ class Experiment:
             tags |= {"mlflow.user": _user(), "mlflow.source.name": "puddle", "mlflow.source.type": "LOCAL"}
             started = _milliseconds(time.time() if wanted.started is None else wanted.started)
             made = self.client.create_run(self.id, start_time=started, run_name=wanted.name, tags=tags)
-            run = existing[slot] = _Sent(made.info.run_id, started, tags=tags)
+            run = existing[slot] = _Sent(made.info.run_id, tags=tags)
         elif wanted.status is None and run.status in ("KILLED", "FAILED"):  # it is resumed
             self.client.update_run(run.id, status="RUNNING")
             run.status = "RUNNING"
-        files = dict(wanted.artifacts)
-        if slot[0] != "trial" and (wanted.inputs or wanted.outputs):
-            lineage = {"inputs": dict(wanted.inputs), "outputs": dict(wanted.outputs)}
-            files["lineage.json"] = json.dumps(lineage, indent=2, sort_keys=True).encode()
-        self._send_values(run, wanted, tags | self._send_files(run, files, _FILES))
-        self._send_inputs(run, wanted)
-        self._send_models(run, wanted.models)
+        self._send_values(run, wanted, tags | self._send_files(run, wanted.artifacts, _FILES))
         ended = run.ended if wanted.ended is None else _milliseconds(wanted.ended)
         if wanted.status is not None and (run.status, run.ended) != (wanted.status, ended or run.ended):
             self.client.set_terminated(run.id, wanted.status, end_time=ended)
@@ -156,92 +152,18 @@ class Experiment:
         run.tags |= new_tags
         run.metrics |= changed
 
-    def _send_inputs(self, run: _Sent, wanted: Run) -> None:
-        from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelInput
-
-        cut = {(name, digest[:_DATASET_DIGEST_LENGTH]): digest for name, digest in wanted.inputs.items()}
-        inputs = [
-            DatasetInput(
-                Dataset(name, short, "puddle", json.dumps({"sha256": digest})),
-                [InputTag("mlflow.data.context", "input")],
-            )
-            for (name, short), digest in cut.items()
-            if (name, short) not in run.data_sets
-        ]
-        if inputs:
-            self.client.log_inputs(run.id, inputs)
-            run.data_sets |= set(cut)
-        read = ",".join(wanted.models_read)
-        if read and run.tags.get(_MODEL_READ) != read:
-            for digest in wanted.models_read:
-                if digest not in self._model_ids:
-                    self._model_ids[digest] = [one.model_id for one in self._models(digest)]
-                self.client.log_inputs(run.id, models=[LoggedModelInput(model) for model in self._model_ids[digest]])
-            self._set_tag(run, _MODEL_READ, read)
-
     def _send_files(self, run: _Sent, files: Mapping[str, bytes], tag: str) -> dict[str, str]:
         """Send files, unless a tag says that they have been sent; return the tag to set."""
         digest = _digest({path: hashlib.sha256(content).hexdigest() for path, content in files.items()})
         if not files or run.tags.get(tag) == digest:
             return {}
         with tempfile.TemporaryDirectory() as folder:
-            _write(Path(folder), files)
+            for path, content in files.items():
+                target = Path(folder) / path
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
             self.client.log_artifacts(run.id, folder)
         return {tag: digest}
-
-    def _set_tag(self, run: _Sent, tag: str, value: str) -> None:
-        self.client.set_tag(run.id, tag, value)
-        run.tags[tag] = value
-
-    def _models(self, digest: str) -> Sequence[Any]:
-        found: Sequence[Any] = self.client.search_logged_models([self.id], f"tags.`puddle.digest` = '{digest}'")
-        return found
-
-    def _send_models(self, run: _Sent, models: Sequence[Model]) -> None:
-        """Log models, unless a tag says that they have been."""
-        made = ",".join(model.digest for model in models)
-        if made and run.tags.get(_MODEL) != made:
-            for model in models:
-                self._send_model(run, model)
-            self._set_tag(run, _MODEL, made)
-
-    def _send_model(self, run: _Sent, model: Model) -> None:
-        """Log a model with its files and metrics."""
-        from mlflow.entities import LoggedModelOutput, Metric
-
-        known = next((one for one in self._models(model.digest) if one.source_run_id == run.id), None)
-        if known is None:
-            params = {name: str(value) for name, value in _flat(model.params)}
-            tags = {"puddle.digest": model.digest}
-            known = self.client.create_logged_model(self.id, model.name, run.id, tags, params, model_type="ensemble")
-        with tempfile.TemporaryDirectory() as folder:
-            _write(Path(folder), model.artifacts)
-            self.client.log_model_artifacts(known.model_id, folder)
-        name, digest = model.data or (None, None)
-        of_data = (name, digest and digest[:_DATASET_DIGEST_LENGTH])
-        metrics = [
-            Metric(metric, float(value), run.started, 0, known.model_id, *of_data)
-            for metric, value in model.metrics.items()
-            if math.isfinite(value)
-        ]
-        self.client.log_batch(run.id, metrics=metrics)
-        self.client.log_outputs(run.id, [LoggedModelOutput(known.model_id, step=0)])
-        self.client.finalize_logged_model(known.model_id, "READY")
-
-
-def _sent(run: Any) -> _Sent:
-    info, data, inputs = run.info, run.data, run.inputs
-    return _Sent(
-        info.run_id,
-        info.start_time,
-        info.status,
-        info.end_time,
-        set(data.params),
-        dict(data.tags),
-        dict(data.metrics),
-        {(one.dataset.name, one.dataset.digest) for one in inputs.dataset_inputs} if inputs else set(),
-        data.tags.get(_CURVES),
-    )
 
 
 def _n_sent(tag: str | None, curves: Sequence[CurvePart]) -> int:
@@ -272,13 +194,6 @@ def _points(part: CurvePart) -> list[Any]:
         for k, (step, y) in enumerate(zip(points.steps, curve, strict=True))
         if math.isfinite(y)
     ]
-
-
-def _write(folder: Path, files: Mapping[str, bytes]) -> None:
-    for path, content in files.items():
-        target = folder / path
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(content)
 
 
 def _milliseconds(seconds: float) -> int:

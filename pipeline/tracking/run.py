@@ -1,4 +1,4 @@
-"""What is mirrored: runs, their curves and models, as plain values."""
+"""What is mirrored: runs and their curves, as plain values."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,18 +24,6 @@ class CurvePart:
 
 
 @dataclass(frozen=True)
-class Model:
-    """A logged model: files that belong together, and what was measured of them."""
-
-    name: str
-    digest: str  # identity
-    params: Mapping[str, Any] = field(default_factory=dict)  # nested mappings become dotted names
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    data: tuple[str, str] | None = None  # name and digest of the data set that the metrics were measured on
-    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # contents of its files, by path
-
-
-@dataclass(frozen=True)
 class Run:
     """A run in MLflow: a study, one of its stages, or a trial of a stage."""
 
@@ -46,14 +34,10 @@ class Run:
     metrics: Mapping[str, float] = field(default_factory=dict)  # MLflow cannot store infinities and NaN
     curves: Sequence[CurvePart] = ()  # metrics by generation
     tags: Mapping[str, str] = field(default_factory=dict)  # further text to search by
-    inputs: Mapping[str, str] = field(default_factory=dict)  # digests by name
-    outputs: Mapping[str, str] = field(default_factory=dict)  # digests by name
     artifacts: Mapping[str, bytes] = field(default_factory=dict)  # contents of files to open from the UI, by path
     attachments: Mapping[tuple[str, str], Mapping[str, bytes]] = field(default_factory=dict)
     """Files of other runs of the study, by kind and key of the run (``"trial", "stage key/trial key"``) and by path.
     Runs that MLflow does not have are left out."""
-    models: Sequence[Model] = ()  # that the run made
-    models_read: Sequence[str] = ()  # digests of the models that the run used
     started: float | None = None  # [s since 1970]; None for the time at which MLflow first hears of the run
     ended: float | None = None  # likewise
     status: Literal["FINISHED", "FAILED"] | None = None

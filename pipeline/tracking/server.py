@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import socket
-import sqlite3
 import sys
 import time
-import urllib.error
 import urllib.parse
 import urllib.request
 import webbrowser
@@ -17,8 +14,14 @@ from pathlib import Path
 from typing import NoReturn
 
 from pipeline.errors import PuddleError
-from pipeline.tracking.database import MLFLOW_ENVIRONMENT, check_own_database, check_reachable, database_uri
-from pipeline.tracking.mlflow_writer import EXPERIMENT
+from pipeline.tracking.database import (
+    MLFLOW_ENVIRONMENT,
+    artifacts_uri,
+    database_uri,
+    experiment_id,
+    explained,
+    open_client,
+)
 
 _SECONDS_TO_START = 120.0  # time for the server to start before its address is no longer announced
 
@@ -33,28 +36,30 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
         store: the store's folder.
         port: port of the server on the loopback interface.
         uri: URI of an MLflow server or database; the store's own database by default.
-        study: name of the study to show; all by default.
+        study: name of the study whose runs are shown; the list of studies by default.
 
     Raises:
         PuddleError: the database or the server can't be used, or the port is taken.
     """
+    if uri is None and not (store / "mlflow.db").is_file():
+        raise PuddleError(f"{store}: expected mlflow.db, found none. `puddle study` creates it.")
+    try:
+        experiment = experiment_id(open_client(store, uri))
+    except PuddleError:
+        raise
+    except Exception as error:  # of any database's driver
+        raise PuddleError(explained(error, store, uri)) from None
     if uri is not None and urllib.parse.urlsplit(uri).scheme in ("http", "https"):
-        _announce(runs_page(uri.rstrip("/"), _experiment_on_server(uri), study), "")
+        _announce(runs_page(uri.rstrip("/"), experiment, study), "")
         return
-    if uri is None:
-        check_own_database(store)
-        uri, experiment = database_uri(store), _experiment_in(store / "mlflow.db")
-        words = ["--default-artifact-root", (store.resolve() / "mlartifacts").as_uri()]
-    else:
-        check_reachable(uri)
-        experiment, words = _experiment_of_database(uri), []
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
             raise PuddleError(f"port {port} is not available ({error.strerror}). Choose another: --port.") from error
-    _serve(uri, port, words, runs_page(f"http://127.0.0.1:{port}", experiment, study))
+    words = [] if uri else ["--default-artifact-root", artifacts_uri(store)]
+    _serve(uri or database_uri(store), port, words, runs_page(f"http://127.0.0.1:{port}", experiment, study))
 
 
 def runs_page(server: str, experiment: str | None, study: str | None = None) -> str:
@@ -63,13 +68,14 @@ def runs_page(server: str, experiment: str | None, study: str | None = None) -> 
     Args:
         server: address of the server.
         experiment: ID of the experiment; None if there is none yet.
-        study: name of the study whose runs are shown; all by default.
+        study: name of the study whose runs are shown; by default the studies alone.
     """
-    query = {"workflowType": "machine_learning"}
-    if study is not None:
-        query["searchFilter"] = f"tags.study = '{study}'"
+    shown = "tags.`puddle.kind` = 'study'" if study is None else f"tags.study = '{study}'"
+    query = urllib.parse.urlencode(
+        {"workflowType": "machine_learning", "searchFilter": shown}, quote_via=urllib.parse.quote
+    )
     page = "experiments" if experiment is None else f"experiments/{experiment}/runs"
-    return f"{server}/#/{page}?{urllib.parse.urlencode(query, quote_via=urllib.parse.quote)}"
+    return f"{server}/#/{page}?{query}"
 
 
 def _serve(uri: str, port: int, words: list[str], page: str) -> NoReturn:
@@ -105,34 +111,3 @@ def _announce(page: str, advice: str) -> None:
     desktop = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if desktop and sys.stdout.isatty():
         webbrowser.open(page)
-
-
-def _experiment_in(database: Path) -> str | None:
-    """Return the ID of puddle's experiment in a SQLite database; None if there is none yet."""
-    with contextlib.closing(sqlite3.connect(database)) as connection, contextlib.suppress(sqlite3.OperationalError):
-        row = connection.execute("SELECT experiment_id FROM experiments WHERE name = ?", (EXPERIMENT,)).fetchone()
-        return None if row is None else str(row[0])
-    return None
-
-
-def _experiment_of_database(uri: str) -> str | None:
-    from mlflow.tracking import MlflowClient
-
-    try:
-        found = MlflowClient(uri).get_experiment_by_name(EXPERIMENT)
-    except Exception as error:  # of any database's driver
-        raise PuddleError(f"{uri}: MLflow cannot use it: {str(error).splitlines()[0]}") from error
-    return None if found is None else str(found.experiment_id)
-
-
-def _experiment_on_server(uri: str) -> str | None:
-    """Return the ID of puddle's experiment on a server; None if it has none yet or wants a user's name."""
-    check_reachable(uri)
-    address = f"{uri.rstrip('/')}/api/2.0/mlflow/experiments/get-by-name?experiment_name={EXPERIMENT}"
-    try:
-        with urllib.request.urlopen(address, timeout=10) as answer:
-            return str(json.load(answer)["experiment"]["experiment_id"])
-    except urllib.error.HTTPError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise PuddleError(f"{uri}: expected an MLflow server, got {error!r}") from error

@@ -25,7 +25,7 @@ class RecordedResults:
             return ""
         return (
             f"study {name}: shown as it was recorded. Today's code leads its settings to other results of "
-            f"{', '.join(self.elsewhere)}; `puddle study --study {name}` computes them."
+            f"{', '.join(self.elsewhere)}; `puddle study {name}` computes them."
         )
 
 

@@ -20,7 +20,7 @@ from pipeline.store import disk
 from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.tracking.run import CurvePoints, Model
+from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId, to_json
 
 ChainSpecT = TypeVar("ChainSpecT")
@@ -189,8 +189,6 @@ class Summary:
     trials: Sequence[TrialSummary] = ()
     artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
     films: Mapping[TrialId, Mapping[str, bytes]] = field(default_factory=dict)  # of trials of other stages, by path
-    models: Sequence[Model] = ()  # that the stage made
-    model_of: Mapping[TrialId, str] = field(default_factory=dict)  # digest of the model that a trial evolves in
     of_study: bool = False  # whether the study as a whole shows these metrics and artifacts too, to compare studies
 
 

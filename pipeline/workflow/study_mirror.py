@@ -84,7 +84,6 @@ class StudyMirror:
         preset = preset_of(source) or Path(source).stem
         self._tags = {"preset": preset} if preset else {}
         self._points: dict[str, Mapping[ChainId, int]] = {}
-        self._ensembles: dict[str, str] = {}  # digest of the model that a trial evolves in, by its label
 
     @contextlib.contextmanager
     def live(self, stage: AnyStage, chains: Sequence[ChainProgress]) -> Iterator[None]:
@@ -126,7 +125,6 @@ class StudyMirror:
             summary: its results in short.
         """
         results = upstream[stage.name]
-        inputs = {name: _digest_of(upstream[name]) for name in stage.reads(self._settings)}
         manifests = [manifest for done in results.done.values() for manifest in done]
         artifacts = {_path(name): content for name, content in summary.artifacts.items()}
         attachments = {
@@ -135,21 +133,17 @@ class StudyMirror:
         }
         if summary.of_study:
             attachments["study", self._key], artifacts = artifacts, {}
-        models = [replace(model, data=next(iter(inputs.items()), None)) for model in summary.models]
-        self._ensembles |= {trial.label: digest for trial, digest in summary.model_of.items()}
+        read = (*stage.reads(self._settings), stage.name)
+        lineage = {name: _digest_of(upstream[name]) for name in read}
         started, ended = self._times(manifests)
         run = Run(
             stage.name,
             stage.name,
             self._about(stage),
             metrics={**summary.metrics, "core_seconds": results.seconds, "n_failed": len(results.failed)},
-            inputs=inputs,
-            outputs={stage.name: _digest_of(results)},
             tags=_commit(manifests),
-            artifacts=artifacts,
+            artifacts={**artifacts, "lineage.json": encode_json(lineage)},
             attachments=attachments,
-            models=models,
-            models_read=list(dict.fromkeys(self._ensembles.values())) if "train" in inputs else (),
             started=started,
             ended=ended,
             status="FAILED" if results.failed else "FINISHED",
@@ -212,18 +206,11 @@ class StudyMirror:
             curves=[self._part(stage, manifest, self._n_points(stage)[chain]) for manifest in parts],
             tags={name: f"{value:g}" if name == "depth" else str(value) for name, value in params.items()}
             | _commit(parts),
-            outputs={chain.label: parts[-1].digest} if summary else {},
-            models_read=self._read_by(stage, chain),
             artifacts=summary.artifacts if summary else {},
             started=started,
             ended=ended if summary else None,
             status="FINISHED" if summary else None,
         )
-
-    def _read_by(self, stage: AnyStage, chain: ChainId) -> Sequence[str]:
-        """Return the digests of the models that a chain uses."""
-        reads = "train" in stage.reads(self._settings) and isinstance(chain, TrialId)
-        return [self._ensembles[chain.label]] if reads and chain.label in self._ensembles else ()
 
     def _n_points(self, stage: AnyStage) -> Mapping[ChainId, int]:
         """Return how many points an item of each chain may add to a curve."""

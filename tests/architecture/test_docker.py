@@ -19,7 +19,7 @@ from containers import COMPOSE, DOCKER, KUBERNETES, instructions, words_of
 from mlflow.cli import cli as mlflow_cli
 
 from pipeline.commands.app import app
-from pipeline.commands.exit_codes import INCOMPLETE
+from pipeline.commands.terminal import INCOMPLETE
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # Ray's, about pydantic

@@ -10,7 +10,7 @@ from command_line import call
 
 import pipeline.stages
 import pipeline.tracking.mirror
-from pipeline.commands.exit_codes import INCOMPLETE
+from pipeline.commands.terminal import INCOMPLETE
 from pipeline.stages import STAGES, environments
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.store.store import Store

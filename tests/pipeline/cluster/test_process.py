@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from pipeline.cluster.process import memory_bounded, number_of_cores, prepare_process, signals_unwind
-from pipeline.commands.exit_codes import interruptible
+from pipeline.commands.terminal import interruptible
 
 ROOT = Path(__file__).parents[3]
 

@@ -1,4 +1,4 @@
-"""Studies addressed by their names: `--study NAME` takes the settings on record."""
+"""Studies addressed by their names, which take the settings on record."""
 
 import json
 import shutil
@@ -34,14 +34,15 @@ def test_a_record_says_where_its_settings_come_from(done, store):
 def test_a_name_takes_the_recorded_settings(command, store, capsys):
     workers = ["--workers", "0"] if command in ("report", "analyse", "evolve", "study") else []
     before = store.read_study("tiny")
-    assert call(command, "--study", "tiny", "--store", str(store.root), *workers) == 0
+    for name in (["tiny"], ["--study", "tiny"]):
+        assert call(command, *name, "--store", str(store.root), *workers) == 0
     assert store.read_study("tiny") == before  # nothing was computed, and the source stays
     said = capsys.readouterr()
     assert "tiny" in said.out + said.err or "dry_land" in said.err
 
 
 def test_settings_may_be_changed_beside_a_name(store, capsys):
-    assert call("settings", "--study", "tiny", "--store", str(store.root), "--set", "seed=7") == 0
+    assert call("settings", "tiny", "--store", str(store.root), "--set", "seed=7") == 0
     (store.root / "printed.yaml").write_text(capsys.readouterr().out)
     printed = load(Settings, store.root / "printed.yaml")
     assert printed.seed == 7 and printed.grid.environments == ("dry_land",)
@@ -52,13 +53,14 @@ def test_an_unknown_name_lists_the_studies(store, capsys):
     add_study(store, "other")
 
     def message(name: str) -> str:
-        return refused(capsys, "status", "--study", name, "--store", str(store.root))
+        return refused(capsys, "status", name, "--store", str(store.root))
 
     assert (
         message("othr").strip() == f"puddle: study 'othr': {store.root} holds other, tiny, tiny-2; did you mean other?"
     )
     assert "study 'tin' is ambiguous: expected one of tiny, tiny-2" in message("tin")
     assert "holds other, tiny, tiny-2" in message("../tiny")
+    assert "--preset smoke" in message("smoke")
 
 
 @pytest.mark.parametrize("command", ["study", "report", "status", "forecast", "verify", "doctor"])
@@ -67,14 +69,14 @@ def test_a_damaged_record_is_refused_and_stays(command, store, capsys):
     damaged = path.read_bytes()[:-20]
     path.write_bytes(damaged)
     files = sorted(store.root.rglob("*"))
-    said = refused(capsys, command, "--study", "tiny", "--store", str(store.root))
+    said = refused(capsys, command, "tiny", "--store", str(store.root))
     assert said.startswith(f"puddle: {path}") and len(said.splitlines()) == 1
     assert path.read_bytes() == damaged and sorted(store.root.rglob("*")) == files
 
 
 def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
     (store.study_path("tiny") / "study.json").unlink()
-    assert "has lost its record, study.json" in refused(capsys, "status", "--study", "tiny", "--store", str(store.root))
+    assert "has lost its record, study.json" in refused(capsys, "status", "tiny", "--store", str(store.root))
     shutil.rmtree(store.study_path("tiny"))
     assert "holds no study yet" in refused(capsys, "status", "--study", "tiny", "--store", str(store.root))
     nowhere = str(tmp_path / "nowhere")
@@ -89,7 +91,7 @@ def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
 def test_a_settings_file_beside_a_name_or_preset_is_refused(command, chosen, options, capsys):
     design = ["docs/design.json", "--environment", "dry_land", "--depth", "1"] if command == "simulate" else []
     said = refused(capsys, command, *design, *chosen, *options)
-    assert "expected only one of --study, --preset and --settings, got " + " ".join(chosen) in said
+    assert "expected only one of a study's name, --preset and --settings, got " + " ".join(chosen) in said
 
 
 def test_the_record_of_an_early_store_has_no_source(store):

@@ -12,7 +12,7 @@ import typer
 from command_line import call, refused
 
 from pipeline.commands.app import _PANELS, main
-from pipeline.commands.exit_codes import DEFECT, INCOMPLETE, INTERRUPTED, OUTPUT_CLOSED, USER_ERROR, Commands
+from pipeline.commands.terminal import DEFECT, INCOMPLETE, INTERRUPTED, OUTPUT_CLOSED, USER_ERROR, Commands
 
 ROOT = Path(__file__).parents[3]
 COMMANDS = [name for commands in _PANELS.values() for name in commands] + ["servo", "servo play", "servo calibrate"]
@@ -53,7 +53,7 @@ def test_help_without_a_reader_ends_a_command_quietly(command, capsys, monkeypat
 )
 def test_output_without_a_reader_ends_a_command_quietly(words, done):
     store = ("--store", str(done / "store")) if words[0] in ("studies", "status") else ()
-    study = ("--study", "tiny") if words[0] == "status" else ()
+    study = ("tiny",) if words[0] == "status" else ()
     ended = to_a_closed_pipe(*words, *study, *store)
     assert (ended.returncode, ended.stderr) == (OUTPUT_CLOSED, "")
 
@@ -113,7 +113,7 @@ def test_every_end_of_a_command_has_its_code(error, code, said, capsys):
 
 STOPPED_TWICE = """
 import atexit, os, signal, time, typer
-from pipeline.commands.exit_codes import interruptible
+from pipeline.commands.terminal import interruptible
 def clean_up():
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(0.05)

@@ -33,14 +33,11 @@ def test_commands_are_in_panels_and_no_line_is_clipped(width, capsys, monkeypatc
     assert re.findall(r"╭─ (\w+) ─", said) == ["Options", "Daily", "Build", "Care", "Stages"]
     assert {command.rich_help_panel for command in SHOWN.values()} == {"Daily", "Build", "Care", "Stages"}
     assert "…" not in said and "..." not in said.replace("[ARGS]...", "")
-    assert max(map(len, said.splitlines())) <= width
+    assert max(map(len, said.splitlines())) <= width and len(said.splitlines()) <= 50
     for name, command in SHOWN.items():
         assert re.search(rf"^│ {name} ", said, flags=re.M)
         assert command.help, name
-    if width == 120:  # narrower columns interleave names and wrapped summaries
-        words = plain(said)
-        for command in SHOWN.values():
-            assert plain(command.help.split("\n\n")[0]) in words
+        assert plain(command.help.split("\n\n")[0]) in plain(said)
 
 
 @pytest.mark.parametrize("width", [72, 80])
@@ -49,7 +46,7 @@ def test_the_help_of_a_command_is_whole(name, width, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     said = help_of(capsys, name, "-h")
     assert max(map(len, said.splitlines())) <= width
-    for parameter in getattr(COMMANDS[name], "params", ()):
+    for parameter in (one for one in getattr(COMMANDS[name], "params", ()) if not getattr(one, "hidden", False)):
         for option in parameter.opts:
             assert option in said
         for word in (parameter.help or "").split():
@@ -65,7 +62,8 @@ def test_short_options_and_the_version(capsys):
     ("line", "expected"),
     [
         ("puddle stud", ["studies", "study"]),
-        ("puddle status --study t", ["thin-slush", "tiny"]),
+        ("puddle status t", ["thin-slush", "tiny"]),
+        ("puddle simulate d.json --study t", ["thin-slush", "tiny"]),
         ("puddle status --preset p", ["paper", "pontoon"]),
     ],
 )

@@ -1,11 +1,13 @@
-"""Command lines that messages advise carry the user's own options."""
+"""Command lines that messages advise carry the user's own options, and run from where the user stands."""
 
+import sysconfig
 from pathlib import Path
 
 import pytest
 from command_line import call
 
-from pipeline.commands.options import StudyOptions
+from pipeline.commands import options
+from pipeline.commands.options import StudyOptions, program
 from pipeline.errors import PuddleError
 
 
@@ -25,13 +27,15 @@ def test_an_advised_command_is_for_the_same_store(variable, chosen, expected, mo
     monkeypatch.delenv("PUDDLE_STORE", raising=False)
     if variable is not None:
         monkeypatch.setenv("PUDDLE_STORE", variable)
+    monkeypatch.setattr(options, "program", lambda: "puddle")
     assert StudyOptions(store=Path(chosen)).command("gc") == expected
 
 
 @pytest.mark.parametrize(
     ("chosen", "expected"),
     [
-        ({"study": "mine"}, "puddle train --study mine"),
+        ({"study": "mine"}, "puddle train mine"),
+        ({"name": "mine"}, "puddle train mine"),
         ({"preset": "row"}, "puddle train --preset row"),
         ({"preset": "laptop"}, "puddle train"),
         (
@@ -42,6 +46,7 @@ def test_an_advised_command_is_for_the_same_store(variable, chosen, expected, mo
 )
 def test_an_advised_command_has_the_same_settings(chosen, expected, monkeypatch):
     monkeypatch.delenv("PUDDLE_STORE", raising=False)
+    monkeypatch.setattr(options, "program", lambda: "puddle")
     assert StudyOptions(**chosen).command("train") == expected
 
 
@@ -51,11 +56,26 @@ def test_an_advised_command_has_the_same_settings(chosen, expected, monkeypatch)
         {"study": "mine", "preset": "row"},
         {"study": "mine", "settings_file": Path("mine.yaml")},
         {"preset": "laptop", "settings_file": Path("mine.yaml")},
+        {"name": "mine", "preset": "row"},
     ],
 )
 def test_two_sources_of_settings_are_refused(chosen):
-    with pytest.raises(PuddleError, match="expected only one of --study, --preset and --settings, got --"):
+    with pytest.raises(PuddleError, match="expected only one of a study's name, --preset and --settings, got --"):
         StudyOptions(**chosen)
+
+
+def test_the_program_is_named_as_it_is_found_from_the_working_folder(tmp_path, monkeypatch):
+    scripts = tmp_path / ".venv" / "bin"
+    scripts.mkdir(parents=True)
+    (scripts / "puddle").touch(mode=0o755)
+    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(scripts))
+    monkeypatch.setenv("PATH", "/usr/bin")
+    monkeypatch.chdir(tmp_path)
+    assert program() == ".venv/bin/puddle"
+    monkeypatch.chdir("/usr")
+    assert program() == str(scripts / "puddle")
+    monkeypatch.setenv("PATH", f"{scripts}:/usr/bin")  # the environment is active
+    assert program() == "puddle"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from command_line import call
 
-from pipeline.commands.servo_commands import TypedLines
+from pipeline.commands.servo import TypedLines
 from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_files import calibration_yaml, read_calibration
 from pipeline.servo.calibrate import CalibrateOptions, Dialogue, calibrate
@@ -126,7 +126,7 @@ def test_mistakes_of_calibrate_and_off(kit, tmp_path, capsys):
 
     assert "for joints 2, 4, got 3" in refused("calibrate", str(kit), "--dry-run", "--joint", "3")
     for command in ("calibrate", "off"):
-        assert "--list-ports" in refused(command)
+        assert "KIT" in refused(command).upper()
         assert "--port: expected" in refused(command, str(kit))
         assert "can't read the calibration file" in refused(command, str(tmp_path / "none.yaml"), "--dry-run")
 
@@ -153,12 +153,3 @@ def test_typed_lines_do_not_wait():
     with pytest.raises(EOFError):
         lines()
     os.close(end)
-
-
-def test_the_old_name_still_plays_and_says_the_new_one(kit, capsys):
-    assert call("drive", "--list-ports") == 0
-    said = capsys.readouterr()
-    assert "`puddle servo play`" in said.err and "port" in said.out.lower()
-    assert call("--help") == 0
-    listed = capsys.readouterr().out
-    assert " servo " in listed and " drive " not in listed

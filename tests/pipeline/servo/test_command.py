@@ -91,7 +91,7 @@ def test_mistakes(kit, tmp_path, capsys):
         (tmp_path / "changed.yaml").write_text(text.replace(old, new, 1))
         return refused(str(kit), "--calibration", str(tmp_path / "changed.yaml"), "--dry-run")
 
-    assert "--list-ports" in refused()
+    assert "TIMELINE" in refused().upper()
     assert "--port" in refused(str(kit))
     assert "no such port" in refused(str(kit), "--port", "/dev/ttyNOPE", "--yes")
     assert "can't read the timeline" in refused(str(kit / "none.json"), "--dry-run")

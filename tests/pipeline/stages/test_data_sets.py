@@ -112,18 +112,6 @@ def test_champions_are_compared_with_the_throws_that_their_own_networks_learned_
         assert (table["n"] > 0).all()
 
 
-def test_every_ensemble_is_a_model_that_its_own_trials_read(sets):
-    store, upstream = sets
-    summary = TRAIN.summarise(settings_with(), upstream["train"], store)
-    names = ["", "-replicate-1", "-designed_throws", "-designed_throws-replicate-1"]
-    assert [model.name for model in summary.models] == [f"sets{name}-ensemble" for name in names]
-    name_of = {model.digest: model.name for model in summary.models}
-    read = {trial.label: name_of[digest] for trial, digest in summary.model_of.items()}
-    assert read["residual_slush/1m/trial-0"] == read["single_member/1m/trial-2"] == "sets-ensemble"
-    assert read["designed_throws/1m/trial-1"] == "sets-designed_throws-replicate-1-ensemble"
-    assert not any(label.startswith("true_slush") for label in read)
-
-
 def test_only_the_arms_that_adapt_are_adapted(sets):
     _, upstream = sets
     n_items = {of.environment: len(parts) for of, parts in upstream["transfer"].done.items()}

@@ -8,7 +8,8 @@ import pytest
 from small_study import labelled, run
 
 from pipeline.cluster import serial_cluster
-from pipeline.commands.one_design import simulate_design
+from pipeline.commands.options import SettingsOptions
+from pipeline.commands.simulations import simulate_design
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -190,9 +191,9 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     assert written.read_bytes() == champion
     design_from(json.loads(champion), "proposed")
     film = tmp_path / "film.gif"
-    lines = simulate_design(
-        written, "true_slush", 2.0, film, settings=pontoon, open_store=lambda: store, how_to_run=lambda name: name
-    )
+    (tmp_path / "pontoon.yaml").write_text(pontoon.model_dump_json())
+    options = SettingsOptions(settings_file=tmp_path / "pontoon.yaml", store=store.root)
+    lines = simulate_design(written, "true_slush", 2.0, film, options)
     moved = float(re.search(r"root ([+-][\d.]+) m", "\n".join(lines))[1])
     assert moved == pytest.approx(tank["zero_shot"][tank["proposed"]][0], abs=5e-4)
     assert film.read_bytes().startswith(b"GIF89a")

@@ -2,15 +2,15 @@
 
 import contextlib
 import getpass
-import json
 import math
 import os
 import shutil
 import socket
+import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,18 +18,17 @@ import numpy as np
 import pytest
 from mlflow.tracking import MlflowClient
 
-from pipeline.tracking.database import database_uri
+from pipeline.errors import PuddleError
+from pipeline.tracking.database import EXPERIMENT, database_uri
 from pipeline.tracking.mirror import Tracker
-from pipeline.tracking.mlflow_writer import EXPERIMENT
-from pipeline.tracking.run import CurvePart, CurvePoints, Model, Run
+from pipeline.tracking.run import CurvePart, CurvePoints, Run
+from pipeline.tracking.server import show_ui
 
 STUDY = Run("smoke", "5" * 64, params={"evolution": {"n_generations": 1500}}, tags={"preset": "smoke"})
 STAGE = Run(
     "evolve",
     "e" * 64,
     metrics={"best": 9.5, "undefined": math.nan},
-    inputs={"train": "a" * 64},
-    outputs={"history": "b" * 64},
     artifacts={"figures/fitness.svg": b"<svg/>"},
     status="FINISHED",
 )
@@ -98,7 +97,6 @@ def everything(store: Path):
                 name: [(m.step, m.value, m.timestamp) for m in mlflow.get_metric_history(run.info.run_id, name)]
                 for name in run.data.metrics
             },
-            [(one.dataset.name, one.dataset.digest) for one in run.inputs.dataset_inputs],
             sorted(one.path for one in mlflow.list_artifacts(run.info.run_id)),
         )
         for run in runs(store).values()
@@ -116,17 +114,11 @@ def test_a_study_its_stage_and_its_trials(tmp_path, said):
     assert (study.info.status, stage.info.status, trial.info.status) == ("RUNNING", "FINISHED", "FINISHED")
     assert study.data.params == {"evolution.n_generations": "1500"}
     assert study.data.tags["preset"] == "smoke"
-    assert stage.data.tags["puddle.output.history"] == "b" * 64
-    (read,) = stage.inputs.dataset_inputs
-    assert (read.dataset.name, read.dataset.digest) == ("train", "a" * 36)
-    assert json.loads(read.dataset.source) == {"sha256": "a" * 64}
     history = client(tmp_path).get_metric_history(trial.info.run_id, "fitness")
     assert [point.value for point in sorted(history, key=lambda point: point.step)] == list(CURVE + 1)
     assert [point.step for point in sorted(history, key=lambda point: point.step)] == list(range(1500))
     artifacts = tmp_path / "mlartifacts" / stage.info.run_id / "artifacts"
     assert (artifacts / "figures" / "fitness.svg").read_bytes() == b"<svg/>"
-    lineage = json.loads((artifacts / "lineage.json").read_text())
-    assert lineage == {"inputs": {"train": "a" * 64}, "outputs": {"history": "b" * 64}}
 
 
 @pytest.mark.parametrize("name", ["what?", "a%3Fb", "q?x=1#y", os.fsdecode(b"st\xf6re")])
@@ -164,7 +156,7 @@ def test_mirrored_twice_is_mirrored_once(store, said):
 def test_what_changed_is_brought_up_to_date_in_place(store, said):
     tracker = Tracker(store, say=said.append)
     half = [replace(trial, curves=trial.curves[:1], status=None) for trial in TRIALS]
-    tracker.mirror(STUDY, replace(STAGE, metrics={"best": 3.0}, inputs={}, status="FAILED"), half)
+    tracker.mirror(STUDY, replace(STAGE, metrics={"best": 3.0}, status="FAILED"), half)
     before = runs(store)
     tracker.mirror(replace(STUDY, status="FINISHED"), STAGE, TRIALS)
     after = runs(store)
@@ -173,19 +165,8 @@ def test_what_changed_is_brought_up_to_date_in_place(store, said):
     assert before["stage", "evolve"].info.status == "FAILED"
     assert {run.info.status for run in after.values()} == {"FINISHED"}
     assert after["stage", "evolve"].data.metrics == {"best": 9.5}
-    assert len(after["stage", "evolve"].inputs.dataset_inputs) == 1
     history = client(store).get_metric_history(after["trial", "trial 0"].info.run_id, "fitness")
     assert sorted(point.step for point in history) == list(range(1500))
-
-
-def test_another_key_is_another_run(store, said):
-    tracker = Tracker(store, say=said.append)
-    tracker.mirror(STUDY, STAGE)
-    tracker.mirror(replace(STUDY, key="6" * 64, params={"evolution": {"n_generations": 9}}), STAGE)
-    mlflow = client(store)
-    found = mlflow.search_runs([mlflow.get_experiment_by_name(EXPERIMENT).experiment_id])
-    assert len(found) == 4  # two studies of one name, each with its own stage
-    assert said == []
 
 
 def test_only_finite_values_are_sent(store, said):
@@ -315,34 +296,6 @@ def test_only_the_new_parts_of_a_growing_curve_are_read(store, said):
     assert said == []
 
 
-def test_a_model_is_logged_once_and_linked_to_its_metrics_and_readers(store, said):
-    model = Model(
-        "ensemble",
-        "d" * 64,
-        params={"network": {"width": 16}},
-        metrics={"relative_error": 0.5, "undefined": math.nan},
-        data=("collect", "c" * 64),
-        artifacts={"member-00.safetensors": b"weights"},
-    )
-    train = Run("train", "train", models=[model], status="FINISHED")
-    for _ in range(2):
-        tracker = Tracker(store, say=said.append)
-        tracker.mirror(STUDY, train)
-        tracker.mirror(STUDY, STAGE, [replace(TRIALS[0], models_read=[model.digest])])
-    assert said == []
-    mlflow = client(store)
-    (logged,) = mlflow.search_logged_models([mlflow.get_experiment_by_name(EXPERIMENT).experiment_id])
-    assert (logged.name, logged.status, logged.params) == ("ensemble", "READY", {"network.width": "16"})
-    (metric,) = logged.metrics
-    assert (metric.key, metric.value, metric.dataset_name) == ("relative_error", 0.5, "collect")
-    assert metric.dataset_digest == "c" * 36 and logged.tags["puddle.digest"] == "d" * 64
-    assert [file.path for file in mlflow.list_logged_model_artifacts(logged.model_id)] == ["member-00.safetensors"]
-    found = runs(store)
-    assert logged.source_run_id == found["stage", "train"].info.run_id
-    trial = mlflow.get_run(found["trial", "trial 0"].info.run_id)
-    assert [one.model_id for one in trial.inputs.model_inputs] == [logged.model_id]
-
-
 def test_a_stage_adds_files_to_other_runs(store, said):
     films = {("trial", "e" * 64 + "/0"): {"films/swim.mp4": b"film"}, ("trial", "gone"): {"films/swim.mp4": b""}}
     report = Run("report", "report", attachments={**films, ("study", STUDY.key): {"page/index.html": b"<html>"}})
@@ -377,9 +330,72 @@ def test_what_is_unfinished_is_stopped_and_runs_again_when_resumed(store, said):
     assert set(statuses().values()) == {"FINISHED"} and said == []
 
 
+# -- what users' machines do to it -----------------------------------------------------------------------------------
+
+
+def test_a_deleted_experiment_is_restored(store, said):
+    Tracker(store, say=said.append).mirror(STUDY, STAGE)
+    mlflow = client(store)
+    mlflow.delete_experiment(mlflow.get_experiment_by_name(EXPERIMENT).experiment_id)
+    Tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
+    assert len(runs(store)) == 4 and said == []
+
+
+def test_the_artifacts_of_a_moved_store_move_with_it(store, said, tmp_path_factory):
+    Tracker(store, say=said.append).mirror(STUDY, STAGE)
+    moved = tmp_path_factory.mktemp("moved") / "store"
+    shutil.move(store, moved)
+    Tracker(moved, say=said.append).mirror(STUDY, STAGE, [replace(TRIALS[0], artifacts={"champion.json": b"{}"})])
+    found = {name: run.info.run_id for (_, name), run in runs(moved).items()}
+    assert (moved / "mlartifacts" / found["trial 0"] / "artifacts" / "champion.json").read_bytes() == b"{}"
+    assert [one.path for one in client(moved).list_artifacts(found["evolve"])] == ["figures"]
+    assert said == [] and not store.exists()
+
+
+def of_version(version: str) -> Callable[[Path], None]:
+    def spoil(database: Path) -> None:
+        with contextlib.closing(sqlite3.connect(database)) as connection:
+            connection.execute("UPDATE alembic_version SET version_num = ?", (version,))
+            connection.commit()
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (of_version("451aebb31d03"), "it was made by another version of MLflow"),
+        (of_version("of a newer one"), "it was made by another version of MLflow"),
+        (lambda database: database.write_bytes(b"no database at all" * 100), "not a database"),
+    ],
+)
+def test_a_database_that_mlflow_cannot_use_is_one_sentence(store, said, spoil, reason):
+    spoil(store / "mlflow.db")
+    tracker = Tracker(store, say=said.append)
+    tracker.mirror(STUDY, STAGE)
+    tracker.mirror(STUDY, STAGE, TRIALS)
+    with pytest.raises(PuddleError) as refused:
+        show_ui(store, 5000)
+    for told in (*said, str(refused.value)):
+        assert told.startswith(f"{store / 'mlflow.db'}: MLflow cannot use it: ") and len(told.splitlines()) == 1
+        assert reason in told and "delete it, and `puddle study` rebuilds it" in told
+    assert len(said) == 1
+
+
+def test_a_folder_of_files_as_the_tracking_uri(tmp_path, said, monkeypatch, capfd):
+    """As notebooks and tutorials set it; MLflow may refuse it, and is then named in one line."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "./mlruns")
+    tracker = Tracker(tmp_path, say=said.append)
+    tracker.mirror(STUDY, STAGE)
+    tracker.mirror(STUDY, STAGE, TRIALS)
+    assert len(said) <= 1 and all(len(line.splitlines()) == 1 for line in said)
+    assert capfd.readouterr().err == ""
+
+
 def test_a_store_that_cannot_be_written_does_not_stop_the_study(tmp_path, said):
     Tracker(tmp_path / "gone", say=said.append).mirror(STUDY, STAGE)
-    assert len(said) == 1 and "FileNotFoundError" in said[0]
+    assert len(said) == 1 and "No such file" in said[0]
 
 
 def test_two_drivers_at_once_make_one_database(tmp_path):

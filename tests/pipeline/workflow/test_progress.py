@@ -11,7 +11,7 @@ import time
 import pytest
 from rich.console import Console
 
-from pipeline.commands.output import to_stderr
+from pipeline.commands.terminal import to_stderr
 from pipeline.workflow.progress import NOTHING, Pace, StudyTimes, Work, _about, progress
 
 

@@ -1,7 +1,9 @@
-"""Exit codes, and what the terminal shows when a command is interrupted."""
+"""The terminal: lines with what could act on it escaped, exit codes, and what is shown when a command is stopped."""
 
 import atexit
 import contextlib
+import json
+import os
 import signal
 import sys
 import traceback
@@ -11,8 +13,8 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from pipeline.commands.output import OutputClosed, discard_output, to_stderr
 from pipeline.errors import PuddleError
+from pipeline.text import printable
 
 INCOMPLETE = 1  # the study ran to its end but some work items or designs failed; the message names them
 USER_ERROR = 2  # the user can correct the mistake
@@ -21,6 +23,56 @@ INTERRUPTED = 130  # Ctrl-C
 OUTPUT_CLOSED = 141  # whatever read the output has closed it, as `head` does: 128 + SIGPIPE, as a shell has it
 
 _STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)
+
+
+class OutputClosed(Exception):  # noqa: N818 (no mistake of anyone)
+    """Raised where a command writes to a pipe that has no reader any more."""
+
+
+def to_stdout(*lines: str) -> None:
+    """Print lines of results. Raises OutputClosed or PuddleError if that is not possible."""
+    with _written():
+        for line in lines:
+            typer.echo(printable(line))
+
+
+def to_stderr(line: str) -> None:
+    """Print a line about the course of a command, if that is possible: the terminal may be closed."""
+    try:
+        typer.echo(printable(line), err=True)
+    except BrokenPipeError:
+        raise
+    except OSError:
+        pass
+
+
+def print_json(document: Any) -> None:
+    """Print a JSON document on standard output."""
+    to_stdout(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def flush() -> None:
+    """Write what is buffered of the results. Raises as :func:`to_stdout`."""
+    with _written():
+        if sys.stdout is not None:  # it is None where it was closed before the start
+            sys.stdout.flush()
+
+
+@contextlib.contextmanager
+def _written() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        _discard_output()
+        if isinstance(error, BrokenPipeError):
+            raise OutputClosed from error
+        raise PuddleError(f"the output could not be written: {error.strerror}. Finished work is safe") from None
+
+
+def _discard_output() -> None:
+    """Send the rest of the output nowhere: Python writes what is buffered once more at the end."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Commands(TyperGroup):
@@ -62,7 +114,7 @@ def exit_with(error: Exception) -> NoReturn:
             to_stderr(f"puddle: {error}")
             sys.exit(USER_ERROR)
         case OutputClosed():
-            discard_output()
+            _discard_output()
             sys.exit(OUTPUT_CLOSED)
     traceback.print_exception(error)
     sys.exit(DEFECT)

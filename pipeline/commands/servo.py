@@ -1,6 +1,5 @@
 """puddle servo: play a timeline on a robot's servos, calibrate them, switch them off."""
 
-import functools
 import os
 import select
 from dataclasses import dataclass
@@ -9,14 +8,21 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.commands.exit_codes import INTERRUPTED
 from pipeline.commands.options import with_options
-from pipeline.commands.output import to_stderr, to_stdout
-from pipeline.errors import PuddleError
+from pipeline.commands.terminal import INTERRUPTED, to_stdout
 
-servo = typer.Typer(
-    help="Play a timeline on a robot's servos, calibrate them, or switch them off.", no_args_is_help=True
-)
+servo = typer.Typer(help="Play a timeline on servos, calibrate them, switch them off.", no_args_is_help=True)
+
+_STANDARD_INPUT = 0  # its file descriptor
+
+
+def _list_ports(wanted: bool) -> None:
+    """List the serial ports and exit, if the user asked for that."""
+    from pipeline.servo.maestro import port_lines
+
+    if wanted:
+        to_stdout(*port_lines())
+        raise typer.Exit
 
 
 @dataclass(frozen=True)
@@ -24,109 +30,75 @@ class PortOptions:
     """Options that choose a servo controller."""
 
     port: Annotated[str | None, typer.Option("--port", help="Port of the servo controller: /dev/ttyACM0.")] = None
-    list_ports: Annotated[bool, typer.Option("--list-ports", help="List this machine's serial ports.")] = False
+    list_ports: Annotated[
+        bool,
+        typer.Option("--list-ports", callback=_list_ports, is_eager=True, help="List this machine's serial ports."),
+    ] = False
     timeout: Annotated[
         float, typer.Option("--timeout", min=0.01, help="Longest wait for the controller's answer [s].")
     ] = 0.1
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything except talk to a controller.")] = False
 
     def connection(self) -> dict[str, Any]:
         """Return the fields of a :class:`pipeline.servo.play.Connection`."""
-        return {"port": self.port, "timeout": self.timeout}
-
-    def show_ports(self) -> None:
-        """List the serial ports and exit, if the user asked for that."""
-        from pipeline.servo.maestro import port_lines
-
-        if self.list_ports:
-            for line in port_lines():
-                to_stdout(line)
-            raise typer.Exit
+        return {"port": self.port, "timeout": self.timeout, "dry_run": self.dry_run}
 
 
-_STANDARD_INPUT = 0  # its file descriptor
-
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Do everything except talk to a controller.")]
-Yes = Annotated[bool, typer.Option("--yes", help="Start without asking for confirmation.")]
 Log = Annotated[Path | None, typer.Option("--log", help="Log of what was sent (CSV); default beside the timeline.")]
 
 
 @with_options
 def play(
+    timeline: Annotated[Path, typer.Argument(help="A kit that `puddle fabricate` made, or a timeline.json.")],
     port: PortOptions,
-    timeline: Annotated[
-        Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a timeline (timeline.json).")
-    ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option("--calibration", help="The servos' calibration; default calibration.yaml beside the timeline."),
     ] = None,
-    dry_run: DryRun = False,
     duration: Annotated[float | None, typer.Option("--duration", min=0.0, help="Stop after this time [s].")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Repeat the timeline until stopped.")] = False,
-    yes: Yes = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Start without asking for confirmation.")] = False,
     log: Log = None,
 ) -> None:
     """Move a robot's servos through a timeline, and return them to rest whatever happens (docs/servo.md)."""
     from pipeline.servo.play import PlayOptions, play_timeline
 
-    port.show_ports()
-    if timeline is None:
-        raise PuddleError("expected a kit or a timeline to play: `puddle servo play kit --port ...`, or --list-ports")
-    options = PlayOptions(timeline, calibration, duration, loop, log, dry_run=dry_run, **port.connection())
+    options = PlayOptions(timeline, calibration, duration, loop, log, **port.connection())
     if not play_timeline(options, confirm=lambda question: yes or _confirmed(question), say=to_stdout):
         raise typer.Exit(INTERRUPTED)
 
 
 @with_options
 def calibrate(
+    kit: Annotated[Path, typer.Argument(help="A kit that `puddle fabricate` made, or a calibration.yaml.")],
     port: PortOptions,
-    kit: Annotated[
-        Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a calibration (calibration.yaml).")
-    ] = None,
     joints: Annotated[list[int] | None, typer.Option("--joint", help="Calibrate this joint alone; repeatable.")] = None,
-    dry_run: DryRun = False,
     log: Log = None,
 ) -> None:
     """Move the servos one by one, measure them, and write calibration.yaml; the previous one stays beside it."""
     from pipeline.servo.calibrate import CalibrateOptions, Dialogue
     from pipeline.servo.calibrate import calibrate as measure
 
-    port.show_ports()
-    if kit is None:
-        raise PuddleError("expected a kit or a calibration: `puddle servo calibrate kit --port ...`, or --list-ports")
-    options = CalibrateOptions(kit, joints or (), log, dry_run=dry_run, **port.connection())
+    options = CalibrateOptions(kit, joints or (), log, **port.connection())
     if not measure(options, Dialogue(confirm=_confirmed, say=to_stdout, read=TypedLines(_STANDARD_INPUT))):
         raise typer.Exit(INTERRUPTED)
 
 
 @with_options
 def off(
+    kit: Annotated[Path, typer.Argument(help="A kit, or a calibration.yaml, which lists the channels.")],
     port: PortOptions,
-    kit: Annotated[
-        Path | None, typer.Argument(help="A kit, or a calibration (calibration.yaml), which lists the channels.")
-    ] = None,
-    dry_run: DryRun = False,
 ) -> None:
     """Switch the servos off at once, wherever they are, and check that the controller has stopped their pulses."""
     from contextlib import closing
 
     from pipeline.servo.play import Connection, calibration_at, open_controller, switch_off
 
-    port.show_ports()
-    if kit is None:
-        raise PuddleError("expected a kit or a calibration: `puddle servo off kit --port ...`, or --list-ports")
     _, calibration = calibration_at(kit)
-    with closing(open_controller(Connection(dry_run=dry_run, **port.connection()))) as controller:
+    with closing(open_controller(Connection(**port.connection()))) as controller:
         switch_off(controller, calibration)
     channels = ", ".join(str(one.channel) for one in calibration.servos)
     to_stdout(f"Servos on channels {channels}: switched off.")
-
-
-@functools.wraps(play)
-def drive(**values: Any) -> None:
-    """Run `puddle servo play` under its name of version 0.1."""
-    to_stderr("`puddle drive` is now `puddle servo play`; the old name goes with the next version.")
-    play(**values)
 
 
 for _command in (play, calibrate, off):
