@@ -134,6 +134,7 @@ def run_stages(
 
 def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: SettingsOptions) -> None:
     """Print the champions' displacement at the greatest depth, the page's address, and the commands to try next."""
+    from pipeline.report.page import scale_words
     from pipeline.report.render import as_text
     from pipeline.stages.report import PAGE
     from pipeline.stages.transfer import read_trials
@@ -144,6 +145,7 @@ def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: 
     to_stdout(
         f"\nChampions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]",
         f"selected for: {settings.selected_for}",
+        *filter(None, [scale_words(settings)]),
         *as_text(TransferRow, rows, TOO_WIDE),
     )
     page = store.export_path(settings.name) / PAGE

@@ -224,7 +224,8 @@ def scale_words(settings: Settings) -> str:
     share = paper.N_EVALUATED / evaluated
     if share < 1.5:
         return ""
-    return f"1/{share:.0f} of the paper’s evolution: compare shares, not metres"
+    advice = "compare shares, not metres" if share < 500 else "the figures mean nothing"
+    return f"1/{share:,.0f} of the paper’s evolution: {advice}"
 
 
 def _bars(rows: Sequence[TransferRow]) -> list[dict[str, Any]]:

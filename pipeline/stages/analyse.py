@@ -4,6 +4,7 @@ Each work item is one analysis, of the whole study or of one arm, and its file i
 """
 
 import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -22,11 +23,11 @@ from pipeline.store.store import Store
 from pipeline.store.tables import Columns, columns_of, csv_of, described, rows_of
 from pipeline.workflow.identity import arms_of, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Job, Results, Stage, Summary, Upstream
+from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.registry import Analysis, StudyData
 from tasks.analysis.tables import ANALYSES
 
 _MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
-_IN_TERMINAL = ("paper", "tank")  # sections whose tables the summary shows
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def read_tables(done: Mapping[PartId, Files]) -> dict[str, list[Any]]:
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Show the comparison with the paper; offer every table of readable size as CSV."""
+    """Count how many statements of the paper agree; offer every table of readable size as CSV."""
     parts: dict[str, list[Columns]] = {}
     for part, (done,) in results.done.items():
         assert isinstance(part, PartId)
@@ -112,8 +113,12 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             artifacts[f"{name}.csv"] = csv_of(columns)
             rows: Sequence[Any] = rows_of(one.row, columns)
             metrics |= one.metrics(rows)
-            if one.section in _IN_TERMINAL and (shown := [row for row in rows if one.shown(row)]):
-                lines += ["", one.answers, *as_text(one.row, shown, without=("decides",))]
+            if one.section == "tank" and (shown := [row for row in rows if one.shown(row)]):
+                lines += ["", one.answers, *as_text(one.row, shown)]
+            elif one.section == "paper":
+                counts = Counter(row.verdict for row in rows)
+                told = ", ".join(f"{counts[verdict]} × {verdict}" for verdict in VERDICTS)
+                lines.append(f"{len(rows)} statements of the paper: {told}; the page has the table")
     known = {name: value for name, value in metrics.items() if value is not None and isfinite(value)}
     counted = ", ".join(f"{name} ({len(next(iter(joined(own).values()))):,})" for name, own in parts.items())
     lines = [*textwrap.wrap(f"rows of the tables of study {settings.name}: {counted}", 78), *lines]

@@ -110,11 +110,15 @@ def test_the_first_screen_has_the_result_the_bars_and_the_best_arm_in_its_film(h
 
 
 def test_the_scale_of_the_study_is_compared_with_the_papers(study):
-    """The paper's evolution is 1,000 generations of 100 robots."""
-    assert scale_words(study.settings) == ""
-    small = study.settings.evolution.model_copy(update={"n_generations": 100})
-    words = scale_words(study.settings.model_copy(update={"evolution": small}))
-    assert words.startswith("1/") and "compare shares, not metres" in words
+    """The paper's evolution is 1,000 generations of 64 designs."""
+
+    def words(n_generations: int) -> str:
+        small = study.settings.evolution.model_copy(update={"n_generations": n_generations})
+        return scale_words(study.settings.model_copy(update={"evolution": small}))
+
+    assert words(1000) == ""
+    assert words(100) == "1/10 of the paper’s evolution: compare shares, not metres"
+    assert words(1) == "1/1,000 of the paper’s evolution: the figures mean nothing"
 
 
 def cells(html: str, table: str) -> list[list[str]]:
