@@ -14,7 +14,7 @@ from pipeline.report.page import render_robot
 from pipeline.report.replay import Overlay, Replay, replay_of
 from pipeline.stages import environments
 from pipeline.stages.collect import COLLECT
-from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, main_data_set
+from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_ids, main_data_set
 from pipeline.stages.replays import doubts, push_of, surroundings_in
 from pipeline.stages.train import TRAIN
 from pipeline.store import disk
@@ -23,7 +23,7 @@ from pipeline.store.design_table import read_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of
-from pipeline.workflow.identity import Arm, InputName
+from pipeline.workflow.identity import Arm
 from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.stage import Execution, Files, MissingInputs
 from tasks.analysis.filmed import NO_MEMBER, median_member
@@ -41,7 +41,7 @@ _UNITS = {
     "displacement": "m, of the root; of each member",
     "com_displacement": "m, of the centre of mass; of each member",
 }
-_Networks = dict[InputName, Files]
+_Networks = dict[NetworkId, Files]
 
 
 def simulate_design(
@@ -130,12 +130,11 @@ class _Simulated:
         push = None
         if seen_from_networks:
             simulation, _ = self.environment(name)
-            network = None
+            learned = None
             if self._networks:
                 overlays = doubts(simulation, self._design, trace, environments.ensemble_of(self._networks))
-                network = NetworkId(environments.main_data_set_among(self._networks), member)
-            arm = Arm(name, self._depth)
-            push = push_of(simulation, arm, member, self._design, trace, self._networks, network)
+                learned = environments.ensemble_of(dict([list(self._networks.items())[member]]))
+            push = push_of(simulation, Arm(name, self._depth), member, self._design, trace, learned)
         return replay_of(
             self._design,
             trace[0],
@@ -156,7 +155,7 @@ class _Simulated:
             return []
         other: EnvironmentName = "true_slush"
         if name == other:
-            group = environments.main_data_set_among(self._networks).group
+            group = next(iter(self._networks)).data_set.group
             other = next(n for n, kind in ENVIRONMENTS.items() if kind.networks == "all" and kind.learns_from == group)
         rollouts = self.rollouts(other, trace=True)
         finite = bool((rollouts.status == OK).all())
@@ -284,7 +283,5 @@ def _networks(settings: Settings, store: Store, data_set: DataSetId) -> _Network
         upstream = recorded_results(settings, record, (COLLECT, TRAIN), store, say=damage.append).upstream
         if damage:
             raise PuddleError(damage[0])
-        inputs = environments.ensemble_inputs(settings, data_set, upstream)
-        return {
-            name: {file: store.read(source.manifest, file) for file in source.files} for name, source in inputs.items()
-        }
+        inputs = environments.network_inputs(ensemble_ids(settings, data_set), upstream)
+        return environments.networks_among({name: source.read(store) for name, source in inputs.items()})

@@ -16,7 +16,7 @@ from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.results.study_tables import KEYS, SOURCES, available, keys_of, parts_of
 from pipeline.stages import STAGES, environments
-from pipeline.stages.data_sets import data_sets
+from pipeline.stages.data_sets import data_sets, ensemble_ids
 from pipeline.stages.transfer import CHAMPION, read_trials
 from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
@@ -208,18 +208,15 @@ class Study:
             if data_set.group == (throws or known[0].group) and data_set.replicate == replicate
         ]
         if not wanted:
-            listed = ", ".join(data_set.words for data_set in known)
+            listed = ", ".join(data_set.label for data_set in known)
             raise PuddleError(
                 f"study {self.name} has no ensemble of replicate {replicate} of {throws or 'any throws'}: expected one "
                 f"of {listed}"
             )
         with self.store.lock_to_read():
-            inputs = environments.ensemble_inputs(self.settings, wanted[0], self.upstream)
-            files = {
-                name: {file: self.store.read(source.manifest, file) for file in source.files}
-                for name, source in inputs.items()
-            }
-        return environments.ensemble_of(files)
+            inputs = environments.network_inputs(ensemble_ids(self.settings, wanted[0]), self.upstream)
+            files = {name: source.read(self.store) for name, source in inputs.items()}
+        return environments.ensemble_of(environments.networks_among(files))
 
     def _check(self, only: Mapping[str, Any]) -> None:
         """Refuse values of keys that no trial of the study has."""

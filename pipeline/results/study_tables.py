@@ -16,14 +16,12 @@ import pyarrow as pa
 
 from pipeline.stages.analyse import table_file
 from pipeline.stages.assess import AssessmentId
-from pipeline.stages.data_sets import ChunkId, NetworkId
-from pipeline.stages.part import PartId
-from pipeline.stages.pilot import PilotId
+from pipeline.stages.data_sets import ChunkId, DataSetId, NetworkId
 from pipeline.store.encoding import Array, decode_table, units_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import described
-from pipeline.workflow.identity import ChainId, TrialId
+from pipeline.workflow.identity import ChainId, OutputId, TrialId
 from pipeline.workflow.stage import Results, Upstream
 from tasks.analysis.tables import ANALYSES
 from tasks.evolution import OPERATORS
@@ -103,13 +101,15 @@ def keys_of(chain: ChainId) -> dict[str, Any]:
     """Return what a chain says of all its rows: the keys that it has, the number of a member, or the data set."""
     if isinstance(chain, TrialId):
         return {"environment": chain.environment, "depth": chain.depth, "trial": chain.index}
-    if isinstance(chain, PartId) and chain.arm is not None:
+    if isinstance(chain, OutputId) and chain.arm is not None:
         return {"environment": chain.arm.environment, "depth": chain.arm.depth}
     if isinstance(chain, AssessmentId):
-        return {**keys_of(chain.trial), "data_set": chain.data_set.words}
+        return {**keys_of(chain.trial), "data_set": chain.data_set.label}
     if isinstance(chain, NetworkId):
-        return {"member": chain.index, "data_set": chain.data_set.words}
-    return {"data_set": chain.data_set.words} if isinstance(chain, ChunkId | PilotId) else {}
+        return {"member": chain.index, "data_set": chain.data_set.label}
+    if isinstance(chain, ChunkId):
+        return {"data_set": chain.data_set.label}
+    return {"data_set": chain.label} if isinstance(chain, DataSetId) else {}
 
 
 def _arrow_table(

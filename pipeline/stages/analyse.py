@@ -15,14 +15,13 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.report.render import as_text
 from pipeline.stages import environments
-from pipeline.stages.part import PartId
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, columns_of, csv_of, described, rows_of
-from pipeline.workflow.identity import arms_of, trials_of
-from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.workflow.identity import OutputId, arms_of, trials_of
+from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.registry import Analysis, StudyData
 from tasks.analysis.tables import ANALYSES
@@ -55,7 +54,7 @@ def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
             home = arm.environment if arm else "residual_slush" if "train" in one.reads else "true_slush"
             weight = one.cost * len(own) * environments.relative_cost(settings, home)
             spec = AnalysisSpec(name, one.version, data_spec(settings, own))
-            chains.append(Chain(PartId(name, arm), (1,), spec, weight=weight))
+            chains.append(Chain(OutputId(name, arm), (1,), spec, weight=weight))
     return chains
 
 
@@ -73,12 +72,12 @@ def _item(
     return Item(ANALYSE.name, ANALYSE.version, chain.label, spec, inputs, Execution(settings.work.engine))
 
 
-def _compute(job: Job[AnalysisSpec], inputs: Inputs) -> Files:
-    one = ANALYSES[job.spec.analysis]
-    study: StudyData = StudyFiles(job.spec.data, job.execution, inputs)
+def _compute(item: Item[AnalysisSpec], inputs: Inputs) -> Files:
+    one = ANALYSES[item.spec.analysis]
+    study: StudyData = StudyFiles(item.spec.data, item.execution, inputs)
     columns = columns_of(one.row, one.compute(study))
     units = {name: about.get("unit", "") for name, about in described(one.row).items()}
-    table = encode_table(columns, schema=one.name, version=one.version, producer=job.key, units=units)
+    table = encode_table(columns, schema=one.name, version=one.version, producer=item.key, units=units)
     return {table_file(one.name): table}
 
 
@@ -88,7 +87,7 @@ def read_columns(files: Files, one: Analysis) -> Columns:
     return decode_table(files[file], schema=one.name, version=one.version, source=file)
 
 
-def read_tables(done: Mapping[PartId, Files]) -> dict[str, list[Any]]:
+def read_tables(done: Mapping[OutputId, Files]) -> dict[str, list[Any]]:
     """Return the rows of every analysis, joined over its work items."""
     tables: dict[str, list[Any]] = {}
     for part, files in done.items():
@@ -101,7 +100,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Count how many statements of the paper agree; offer every table of readable size as CSV."""
     parts: dict[str, list[Columns]] = {}
     for part, (done,) in results.done.items():
-        assert isinstance(part, PartId)
+        assert isinstance(part, OutputId)
         one = ANALYSES[part.name]
         file = table_file(one.name)
         parts.setdefault(part.name, []).append(read_columns({file: store.read(done, file)}, one))

@@ -11,14 +11,14 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
-from pipeline.stages.data_sets import PAPERS_GROUP, DataSetId
+from pipeline.stages.data_sets import PAPERS_GROUP, DataSetId, ensemble_ids
 from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
 from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
-from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
@@ -96,26 +96,27 @@ def _item(
 ) -> Item[AssessSpec]:
     """Specify a trial's share, which reads the trial's whole history and every member."""
     assert isinstance(chain.identity, AssessmentId)
-    inputs = environments.ensemble_inputs(settings, chain.identity.data_set, upstream)
+    inputs = environments.network_inputs(ensemble_ids(settings, chain.identity.data_set), upstream)
     evolved = chain.spec.trial.in_stage("evolve")
     for number, segment in enumerate(upstream["evolve"].chain(evolved)):
         inputs[InputName(_SEGMENT, evolved, number)] = Input(segment, (segments.HISTORY,))
     return Item(ASSESS.name, ASSESS.version, chain.label, chain.spec, inputs, Execution(settings.work.engine))
 
 
-def _compute(job: Job[AssessSpec], inputs: Inputs) -> Files:
+def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
     """Draw a trial's share and simulate it."""
-    spec, trial = job.spec, job.spec.trial
+    spec, trial = item.spec, item.spec.trial
     history = _history([files for name, files in inputs.items() if name.role == _SEGMENT])
     rng = generator(spec.seed, *trial.seed_identity)
     drawn = draw_over_generations(history["generation"], spec.n_designs, rng)
     designs = Designs.from_arrays(history)[drawn]
+    networks = environments.networks_among(inputs)
     names: tuple[EnvironmentName, ...] = ("true_slush", "residual_slush")
     true, predicted = (
         environments.roll_out(
             spec.simulation,
-            job.execution,
-            environments.build_environment(spec.simulation.media, name, trial.depth, inputs),
+            item.execution,
+            environments.build_environment(spec.simulation.media, name, trial.depth, networks),
             designs,
         )
         for name in names
@@ -133,7 +134,7 @@ def _compute(job: Job[AssessSpec], inputs: Inputs) -> Files:
         **dict(designs.arrays()),
     }
     units = _UNITS | {gene.name: gene.unit for gene in GENES}
-    return {PREDICTIONS: encode_table(columns, schema="predictions", version=1, producer=job.key, units=units)}
+    return {PREDICTIONS: encode_table(columns, schema="predictions", version=1, producer=item.key, units=units)}
 
 
 def _history(parts: Sequence[Files]) -> Columns:
@@ -141,16 +142,6 @@ def _history(parts: Sequence[Files]) -> Columns:
     tables = [decode_table(part[segments.HISTORY], schema="history", version=1, source="history") for part in parts]
     names = ("generation", "identity", *DTYPES)
     return {name: np.concatenate([table[name] for table in tables]) for name in names}
-
-
-def assessed_among(inputs: Inputs, group: str | None = None) -> list[Files]:
-    """Select the inputs that are trials' predictions by ensembles of one group of throws, or of the first of them."""
-    shares = {name.chain: files for name, files in inputs.items() if name.role == ASSESSED}
-    groups = [chain.data_set.group for chain in shares if isinstance(chain, AssessmentId)]
-    chosen = group or next(iter(groups), None)
-    return [
-        files for chain, files in shares.items() if isinstance(chain, AssessmentId) and chain.data_set.group == chosen
-    ]
 
 
 def read_predictions(files: Sequence[Files]) -> Columns:

@@ -15,7 +15,7 @@ from pipeline.store.encoding import decode_json, decode_table, encode_json, enco
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
-from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Results, Sources, Stage, Summary, Upstream
 from tasks.residual import (
     OBSERVATION,
     STATE,
@@ -90,21 +90,22 @@ def _item(
     settings: Settings, chain: Chain[ChunkSpec | TracksSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[ChunkSpec | TracksSpec]:
     tracks = settings.tracks if isinstance(chain.spec, TracksSpec) else None
-    outside = {} if tracks is None else outside_files(tracks)
-    return Item(COLLECT.name, COLLECT.version, chain.label, chain.spec, inputs={}, outside=outside)
+    return Item(
+        COLLECT.name, COLLECT.version, chain.label, chain.spec, {} if tracks is None else {**outside_files(tracks)}
+    )
 
 
-def _compute(job: Job[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
-    spec = job.spec
+def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
+    spec = item.spec
     if isinstance(spec, TracksSpec):
         read = read_tracks(inputs)
         tracked, report = residual_transitions(read.table, read.bars, spec.tracks, spec.physics)
-        return {TRANSITIONS: _encoded(tracked, job.key), TRACK_REPORT: encode_report(report)}
+        return {TRANSITIONS: _encoded(tracked, item.key), TRACK_REPORT: encode_report(report)}
     starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
     starts = starts[spec.first : spec.first + spec.n]
     medium = environments.true_medium(spec.media)
     transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
-    files = {TRANSITIONS: _encoded(transitions, job.key)}
+    files = {TRANSITIONS: _encoded(transitions, item.key)}
     if spec.throws.design == "robots":
         files[_RANGES] = encode_json(asdict(robot_ranges(spec.physics)))
     return files
@@ -116,7 +117,7 @@ def _encoded(transitions: Transitions, producer: str) -> bytes:
     return encode_table(columns, schema="transitions", version=1, producer=producer, units=units)
 
 
-def throws_inputs(collected: Results, data_set: DataSetId) -> dict[InputName, Input]:
+def throws_inputs(collected: Results, data_set: DataSetId) -> Sources:
     """Return the chunks of a whole data set as inputs.
 
     Raises:
@@ -165,7 +166,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         speed = np.hypot(transitions.state[:, 3], transitions.state[:, 4])
         wet = np.abs(transitions.residual).max(axis=1) > 0
         slow_and_wet = float(np.mean(wet & (speed < 0.5)))
-        n_throws, name = len(np.unique(transitions.throw)), "" if len(data_sets(settings)) == 1 else data_set.words
+        n_throws, name = len(np.unique(transitions.throw)), "" if len(data_sets(settings)) == 1 else data_set.label
         lines.append(
             f"{name}{name and ': '}{n_throws:,} throws, {len(transitions):,} transitions; "
             f"{wet.mean():.0%} touch slush, {slow_and_wet:.0%} touch it at less than 0.5 m/s"

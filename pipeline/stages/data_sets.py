@@ -31,7 +31,7 @@ class DataSetId:
         return "".join(f"{part}/" for part in self.parts)
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """Name in messages and tables."""
         return "/".join(self.parts) or PAPERS_GROUP
 

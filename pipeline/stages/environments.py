@@ -1,25 +1,16 @@
 """Environments of a study: built from settings and trained networks, and what it takes to simulate designs in them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.cluster import Spread
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
-from pipeline.stages.data_sets import (
-    DataSetId,
-    NetworkId,
-    data_set_of,
-    data_sets,
-    ensemble_ids,
-    main_data_set,
-    networks_of,
-    own_network,
-)
+from pipeline.stages.data_sets import NetworkId
 from pipeline.store.encoding import decode_arrays
-from pipeline.workflow.identity import InputName, TrialId
-from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
+from pipeline.workflow.identity import InputName
+from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
@@ -60,26 +51,28 @@ def simulation_spec(settings: Settings, *environments: EnvironmentName) -> Simul
     return SimulationSpec(settings.physics, settings.rollout, media_of(settings, *environments))
 
 
-def build_environment(media: Media, name: EnvironmentName, depth: float, inputs: Inputs) -> Environment:
+def build_environment(
+    media: Media, name: EnvironmentName, depth: float, networks: Mapping[NetworkId, Files]
+) -> Environment:
     """Return an environment.
 
     Args:
         media: settings, which include those of its medium.
         name: name of the environment.
         depth: of the ground below the surface [m].
-        inputs: contain the weights of its members, if it has any.
+        networks: its members, if it has any.
     """
-    ensemble = None if ENVIRONMENTS[name].networks == "none" else ensemble_of(inputs)
+    ensemble = None if ENVIRONMENTS[name].networks == "none" else ensemble_of(networks)
     return ENVIRONMENTS[name].environment(depth, media, ensemble)
 
 
-def ensemble_of(inputs: Inputs) -> EnsembleMedium:
-    """Decode the members among an item's inputs."""
+def ensemble_of(networks: Mapping[NetworkId, Files]) -> EnsembleMedium:
+    """Decode networks as the members of an ensemble."""
     from tasks.residual.ensemble import Ensemble
 
     members = [
-        decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=member.label)[0]
-        for member, files in members_among(inputs).items()
+        decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=network.label)[0]
+        for network, files in networks.items()
     ]
     return Ensemble.from_members(members)
 
@@ -96,113 +89,15 @@ def true_medium(media: Media) -> Medium:
     return medium
 
 
-def members_among(inputs: Inputs) -> dict[InputName, Files]:
-    """Select the inputs that are members of ensembles, in their order."""
-    return {name: files for name, files in inputs.items() if name.role == MEMBER}
+def network_inputs(networks: Iterable[NetworkId], upstream: Upstream, *, role: str = MEMBER) -> Sources:
+    """Return networks as inputs; raise MissingInputs if one is not trained."""
+    return {InputName(role, one): Input(upstream["train"].chain(one)[-1], (WEIGHTS,)) for one in networks}
 
 
-def networks_among(inputs: Inputs) -> dict[InputName, Files]:
-    """Select the inputs that are networks: the members of ensembles, and those of single-member trials."""
-    return {name: files for name, files in inputs.items() if name.role in (MEMBER, SINGLE)}
-
-
-def network_among(inputs: Inputs, network: NetworkId) -> dict[InputName, Files]:
-    """Return one network as an ensemble of its own.
-
-    Raises:
-        KeyError: the inputs do not include it.
-    """
-    own = InputName(MEMBER, network)
-    return {own: inputs[own] if own in inputs else inputs[replace(own, role=SINGLE)]}
-
-
-def data_set_among(inputs: Inputs, trial: TrialId) -> DataSetId:
-    """Return the data set whose ensemble serves a trial: its own, or the main one of its replicate if it needs none."""
-    return data_set_of(trial, main_data_set_among(inputs).group)
-
-
-def main_data_set_among(inputs: Inputs) -> DataSetId:
-    """Return the data set of the first ensemble among the inputs.
-
-    Raises:
-        StopIteration: there is none.
-    """
-    return next(name.chain.data_set for name in members_among(inputs) if isinstance(name.chain, NetworkId))
-
-
-def ensemble_among(inputs: Inputs, data_set: DataSetId) -> dict[InputName, Files]:
-    """Select the members of one ensemble, in its order."""
-    members = members_among(inputs).items()
-    return {
-        name: files for name, files in members if isinstance(name.chain, NetworkId) and name.chain.data_set == data_set
-    }
-
-
-def home_networks_among(inputs: Inputs, trial: TrialId) -> dict[InputName, Files]:
-    """Select the networks that a trial evolved in; none if it needs none."""
-    kind = ENVIRONMENTS[trial.environment]
-    if kind.networks == "none":
-        return {}
-    data_set = data_set_of(trial, kind.learns_from)
-    if kind.networks == "one":
-        return network_among(inputs, NetworkId(data_set, own_network(trial)))
-    return ensemble_among(inputs, data_set)
-
-
-def home_inputs(settings: Settings, trial: TrialId, upstream: Upstream) -> dict[InputName, Input]:
-    """Return the networks that a trial evolves in as inputs.
-
-    Args:
-        settings: the study's settings.
-        trial: the trial.
-        upstream: results of the stages before.
-
-    Raises:
-        MissingInputs: a network is not trained.
-    """
-    return {InputName(MEMBER, network): _weights(network, upstream) for network in networks_of(settings, trial)}
-
-
-def ensemble_inputs(settings: Settings, data_set: DataSetId, upstream: Upstream) -> dict[InputName, Input]:
-    """Return the members of an ensemble as inputs, in its order.
-
-    Args:
-        settings: the study's settings.
-        data_set: the data set that it learned from.
-        upstream: results of the stages before.
-
-    Raises:
-        MissingInputs: a network is not trained.
-    """
-    return {InputName(MEMBER, network): _weights(network, upstream) for network in ensemble_ids(settings, data_set)}
-
-
-def networks_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
-    """Return the ensembles that serve some trials, and their own networks, as inputs.
-
-    Args:
-        settings: the study's settings.
-        trials: trials of any environments; those that need no networks are served by the main ensemble.
-        upstream: results of the stages before.
-
-    Raises:
-        MissingInputs: a network is not trained.
-    """
-    main, inputs = main_data_set(settings).group, dict[InputName, Input]()
-    served = dict.fromkeys(data_set_of(trial, main) for trial in trials)
-    for data_set in data_sets(settings):
-        if data_set in served:
-            inputs |= ensemble_inputs(settings, data_set, upstream)
-    own = dict.fromkeys(network for trial in trials for network in networks_of(settings, trial))
-    return inputs | {
-        InputName(SINGLE, network): _weights(network, upstream)
-        for network in own
-        if InputName(MEMBER, network) not in inputs
-    }
-
-
-def _weights(network: NetworkId, upstream: Upstream) -> Input:
-    return Input(upstream["train"].chain(network)[-1], (WEIGHTS,))
+def networks_among(inputs: Inputs, *roles: str) -> dict[NetworkId, Files]:
+    """Select the networks among an item's inputs, or those in some roles."""
+    named = {name.chain: files for name, files in inputs.items() if name.role in (roles or (MEMBER, SINGLE))}
+    return {network: files for network, files in named.items() if isinstance(network, NetworkId)}
 
 
 def execution_options(settings: Settings, environment: EnvironmentName) -> Execution:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
+from pipeline.stages.data_sets import networks_of
 from pipeline.stages.segments import SegmentSpec, TrialSpec
 from pipeline.store.design_file import design_document
 from pipeline.store.encoding import encode_json
@@ -29,7 +30,7 @@ def _item(
     settings: Settings, chain: Chain[TrialSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[SegmentSpec]:
     trial = chain.spec
-    members = environments.home_inputs(settings, trial.identity, upstream)
+    members = environments.network_inputs(networks_of(settings, trial.identity), upstream)
     return Item(
         EVOLVE.name,
         EVOLVE.version,

@@ -14,14 +14,13 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
-from pipeline.stages.data_sets import DataSetId, data_sets
+from pipeline.stages.data_sets import DataSetId, data_sets, ensemble_ids
 from pipeline.stages.environments import FitnessSpec, SimulationSpec
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import columns_of, rows_of
-from pipeline.workflow.identity import InputName
-from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.analysis.coverage import EVERYTHING, CoverageRow, coverage, observed_states
 from tasks.arrays import Float32
 from tasks.design import Designs, Morphology, random_designs
@@ -36,18 +35,6 @@ _SEEN_IN: tuple[EnvironmentName, ...] = ("dry_land", "residual_slush")
 _WORDS = {"dry_land": "random robots", "residual_slush": "evolved robots"}
 _N_RANDOM = 64  # random designs in the base simulator
 _UNITS = {"observation": "a, y, cos θ, vx, vy, ω of a link [m, m, 1, m/s, m/s, rad/s]"}
-
-
-@dataclass(frozen=True)
-class PilotId:
-    """The pilots of one data set."""
-
-    data_set: DataSetId
-
-    @property
-    def label(self) -> str:
-        """Name for display."""
-        return self.data_set.words
 
 
 @dataclass(frozen=True)
@@ -79,32 +66,31 @@ def _plan(settings: Settings) -> Sequence[Chain[PilotSpec]]:
         for data_set in data_sets(settings)
     }
     weight = environments.relative_cost(settings, "residual_slush")
-    return [Chain(PilotId(data_set), (1,), spec, weight=weight) for data_set, spec in specs.items()]
+    return [Chain(data_set, (1,), spec, weight=weight) for data_set, spec in specs.items()]
 
 
 def _item(
     settings: Settings, chain: Chain[PilotSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[PilotSpec]:
-    assert isinstance(chain.identity, PilotId)
-    data_set = chain.identity.data_set
-    inputs = environments.ensemble_inputs(settings, data_set, upstream)
-    inputs |= throws_inputs(upstream["collect"], data_set)
+    assert isinstance(chain.identity, DataSetId)
+    inputs = environments.network_inputs(ensemble_ids(settings, chain.identity), upstream)
+    inputs |= throws_inputs(upstream["collect"], chain.identity)
     execution = environments.execution_options(settings, "residual_slush")
     return Item(PILOT.name, PILOT.version, chain.label, chain.spec, inputs, execution)
 
 
-def _compute(job: Job[PilotSpec], inputs: Inputs) -> Files:
+def _compute(item: Item[PilotSpec], inputs: Inputs) -> Files:
     """Tabulate how far pilots are from the throws, and keep some of their states."""
-    spec = job.spec
-    ensemble = environments.ensemble_of(environments.members_among(inputs))
+    spec = item.spec
+    ensemble = environments.ensemble_of(environments.networks_among(inputs))
     thrown = read_transitions(throws_among(inputs)).observation
     rng = generator(spec.seed, "pilot", "random")
     # At the surface, where a fall adds little speed: a robot in a medium does not fall.
     random, ground = random_designs(_N_RANDOM, rng, morphology=spec.morphology), DryLand(depth=0.0)
     home = ResidualSlush(depth=spec.depth, ensemble=ensemble)
     pilots = {
-        "dry_land": _states(spec, job.execution, random, ground),
-        "residual_slush": _states(spec, job.execution, _evolved(spec, job.execution, home), home),
+        "dry_land": _states(spec, item.execution, random, ground),
+        "residual_slush": _states(spec, item.execution, _evolved(spec, item.execution, home), home),
     }
     scale = deviations(np.concatenate(list(pilots.values())))
     rows = {name: coverage(states, thrown, scale) if len(states) else () for name, states in pilots.items()}
@@ -117,8 +103,8 @@ def _compute(job: Job[PilotSpec], inputs: Inputs) -> Files:
         "observation": np.concatenate(list(pilots.values())),
     }
     return {
-        COVERAGE: encode_table(table, schema="coverage", version=1, producer=job.key),
-        STATES: encode_table(compared, schema="states", version=1, producer=job.key, units=_UNITS),
+        COVERAGE: encode_table(table, schema="coverage", version=1, producer=item.key),
+        STATES: encode_table(compared, schema="states", version=1, producer=item.key, units=_UNITS),
     }
 
 
@@ -143,11 +129,6 @@ def read_coverage(files: Files) -> dict[EnvironmentName, list[CoverageRow]]:
     table = decode_table(files[COVERAGE], schema="coverage", version=1, source=COVERAGE)
     rows = {name: {key: column[table["seen_in"] == name] for key, column in table.items()} for name in _SEEN_IN}
     return {name: rows_of(CoverageRow, part) for name, part in rows.items() if len(part["seen_in"])}
-
-
-def pilots_inputs(upstream: Upstream) -> dict[InputName, Input]:
-    """Return the coverage of every data set whose pilots are done as inputs."""
-    return {InputName(PILOTED, pilot): Input(part, (COVERAGE,)) for pilot, (part,) in upstream["pilot"].done.items()}
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:

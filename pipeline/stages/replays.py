@@ -13,7 +13,6 @@ from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.study_data import StudyFiles
 from pipeline.workflow.identity import Arm, arms_of
-from pipeline.workflow.stage import Inputs
 from tasks.analysis.filmed import NO_MEMBER, Filmed, film_best, film_in_true_slush
 from tasks.analysis.hallucination import acceleration, disagreement, link_states
 from tasks.analysis.registry import Champion
@@ -61,11 +60,13 @@ def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
     for film in film_best(study, own):
         if np.isfinite(film.trace).all():
             simulation, design = study.spec.simulation, film.champion.design
-            networks = environments.networks_among(study.inputs)
-            network = NetworkId(study.data_set(film.champion), film.member) if networks else None
+            medium = None
+            if film.seen_in in RESIDUAL_ENVIRONMENTS:
+                own_network = NetworkId(study.data_set(film.champion), film.member)
+                medium = environments.ensemble_of({own_network: study.networks[own_network]})
             arm = Arm(film.seen_in, film.champion.depth)
-            push = push_of(simulation, arm, film.member, design, film.trace, networks, network)
-            overlays = doubts(simulation, design, film.trace, study.ensemble(film.champion)) if networks else ()
+            push = push_of(simulation, arm, film.member, design, film.trace, medium)
+            overlays = doubts(simulation, design, film.trace, study.ensemble(film.champion)) if study.networks else ()
             plain = _replay(study, film)
             replays.append(replace(plain, push=push, overlays=overlays, best=True, arm_mean=mean))
     return replays
@@ -116,13 +117,7 @@ def doubts(simulation: SimulationSpec, design: Designs, trace: Floats, ensemble:
 
 
 def push_of(
-    simulation: SimulationSpec,
-    arm: Arm,
-    member: int,
-    design: Designs,
-    trace: Floats,
-    networks: Inputs,
-    network: NetworkId | None,
+    simulation: SimulationSpec, arm: Arm, member: int, design: Designs, trace: Floats, learned: Medium | None
 ) -> Float64 | None:
     """Return the acceleration of each link by the medium, (n_frames, n_links, 2) [m/s²]; None where there is none.
 
@@ -132,14 +127,10 @@ def push_of(
         member: number of the member of an ensemble, or NO_MEMBER.
         design: a single design.
         trace: (1, n_steps, n_links, 6)
-        networks: files of the networks.
-        network: the one that predicts the medium, if one does.
+        learned: what the member predicts, in an environment of networks.
     """
-    medium: Medium | None
-    if arm.environment in RESIDUAL_ENVIRONMENTS:
-        assert network is not None
-        medium = environments.ensemble_of(environments.network_among(networks, network))
-    else:
+    medium = learned
+    if arm.environment not in RESIDUAL_ENVIRONMENTS:
         environment = environments.build_environment(simulation.media, arm.environment, arm.depth, {})
         medium = environment.components[max(member, 0)].medium
     if medium is None:

@@ -17,8 +17,7 @@ from pipeline.stages.analyse import read_tables
 from pipeline.stages.assess import ASSESSED, AssessmentId, read_predictions
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import DataSetId, main_data_set
-from pipeline.stages.part import PartId
-from pipeline.stages.pilot import PILOTED, PilotId, pilots_inputs, read_coverage
+from pipeline.stages.pilot import COVERAGE, PILOTED, read_coverage
 from pipeline.stages.replays import best_replays, replays_of, tank_replays
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.stages.transfer import SCORED
@@ -29,7 +28,7 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.provenance import environment as provenance
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
-from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.identity import ChainId, InputName, OutputId, TrialId, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -37,9 +36,9 @@ from pipeline.workflow.stage import (
     Input,
     Inputs,
     Item,
-    Job,
     MissingInputs,
     Results,
+    Sources,
     Stage,
     Summary,
     Upstream,
@@ -50,7 +49,7 @@ from tasks.evolution import OPERATORS
 PAGE = "index.html"  # the page's file
 FILM = "replay"  # name of the film of the first screen, without suffix
 PROPOSED = "proposed-"  # prefix of the design files of champions that are proposed for building
-_PAGE_ID, _FILM_ID = PartId(PAGE), PartId("film")
+_PAGE_ID, _FILM_ID = OutputId(PAGE), OutputId("film")
 EVOLUTION, ADAPTATION, ANALYSED = "evolution", "adaptation", "analysed"
 """Roles of the inputs that are curves of trials, curves of their adaptations, and tables of analyses."""
 
@@ -98,7 +97,8 @@ def _item(
             inputs[InputName(ADAPTATION, trial, number)] = Input(segment, (segments.CURVE,))
     for identity, (analysis,) in upstream["analyse"].done.items():
         inputs[InputName(ANALYSED, identity)] = Input(analysis, tuple(analysis.files))
-    inputs |= pilots_inputs(upstream) if "pilot" in upstream else {}
+    for data_set, (piloted,) in upstream["pilot"].done.items() if "pilot" in upstream else ():
+        inputs[InputName(PILOTED, data_set)] = Input(piloted, (COVERAGE,))
     if settings.needs_ensemble:
         with suppress(MissingInputs):
             inputs |= throws_inputs(upstream["collect"], main_data_set(settings))
@@ -122,7 +122,7 @@ def _item(
     return Item(REPORT.name, REPORT.version, chain.label, spec, inputs, execution)
 
 
-def _data_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
+def _data_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstream) -> Sources:
     """Return scores, predictions and networks; where a network is missing there are no residual environments."""
     inputs = data_inputs(settings, trials, ("assess",), upstream)
     with suppress(MissingInputs):
@@ -130,11 +130,11 @@ def _data_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstre
     return inputs
 
 
-def _compute(job: Job[PageItemSpec | DataSpec], inputs: Inputs) -> Files:
-    spec = job.spec
+def _compute(item: Item[PageItemSpec | DataSpec], inputs: Inputs) -> Files:
+    spec = item.spec
     if isinstance(spec, DataSpec):
-        return _film(StudyFiles(spec, job.execution, inputs))
-    return _page(spec, job.execution, inputs)
+        return _film(StudyFiles(spec, item.execution, inputs))
+    return _page(spec, item.execution, inputs)
 
 
 def _film(study: StudyFiles) -> Files:
@@ -182,7 +182,7 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
 def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles, *, with_replays: bool) -> StudyPage:
     settings, evolved = spec.settings, _curves(EVOLUTION, inputs)
     analysed = {name.chain: files for name, files in inputs.items() if name.role == ANALYSED}
-    tables = read_tables({part: files for part, files in analysed.items() if isinstance(part, PartId)})
+    tables = read_tables({part: files for part, files in analysed.items() if isinstance(part, OutputId)})
     page = StudyPage(
         settings=settings,
         tables=tables,
@@ -223,9 +223,7 @@ def read_page(settings: Settings, upstream: Upstream, store: Store) -> StudyPage
     """
     item = _item(settings, _plan(settings)[0], 0, None, upstream)
     assert isinstance(item.spec, PageItemSpec)
-    inputs = {
-        name: {file: store.read(source.manifest, file) for file in source.files} for name, source in item.inputs.items()
-    }
+    inputs = {name: source.read(store) for name, source in item.inputs.items()}
     study = StudyFiles(data_spec(settings, trials_of(settings, "transfer")), item.execution, inputs)
     return _study_page(item.spec, inputs, study, with_replays=False)
 
@@ -264,9 +262,9 @@ def _pilots(inputs: Inputs) -> Pilots:
     """Return the coverage of the first replicate of each data set."""
     pilots = {name.chain: files for name, files in inputs.items() if name.role == PILOTED}
     return {
-        pilot.data_set.words: read_coverage(files)
-        for pilot, files in pilots.items()
-        if isinstance(pilot, PilotId) and pilot.data_set.replicate == 0
+        data_set.label: read_coverage(files)
+        for data_set, files in pilots.items()
+        if isinstance(data_set, DataSetId) and data_set.replicate == 0
     }
 
 

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
-from pipeline.stages.environments import FitnessSpec, SimulationSpec
+from pipeline.stages.environments import FitnessSpec, SimulationSpec, networks_among
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import OMIT_DEFAULT, Arm, InputName, TrialId
-from pipeline.workflow.stage import Chain, Files, Input, Inputs, Job
+from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Sources
 from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
 from tasks.evolution import (
@@ -62,7 +62,8 @@ class TrialSpec:
 
     def at_home(self, inputs: Inputs) -> Environment:
         """Build the environment where designs are simulated."""
-        return environments.build_environment(self.simulation.media, self.environment, self.identity.depth, inputs)
+        media = self.simulation.media
+        return environments.build_environment(media, self.environment, self.identity.depth, networks_among(inputs))
 
 
 @dataclass(frozen=True)
@@ -123,29 +124,29 @@ def segment_of(chain: Chain[TrialSpec], index: int) -> SegmentSpec:
     return SegmentSpec(chain.spec, round(sum(chain.units[:index])), round(chain.units[index]))
 
 
-def before_input(previous: Manifest | None) -> dict[InputName, Input]:
+def before_input(previous: Manifest | None) -> Sources:
     """Return the segment before as an input, if there is one."""
     return {} if previous is None else {BEFORE: Input(previous, (POPULATION,))}
 
 
-def compute_segment(job: Job[SegmentSpec], inputs: Inputs) -> Files:
+def compute_segment(item: Item[SegmentSpec], inputs: Inputs) -> Files:
     """Advance a trial by a segment's generations."""
-    return compute_segments([job], [inputs])[0]
+    return compute_segments([item], [inputs])[0]
 
 
-def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs]) -> list[Files]:
+def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs]) -> list[Files]:
     """Advance trials of one environment by the same generations, as one batch.
 
     Raises:
         ValueError: the trials differ in more than their identities.
     """
-    spec, execution = jobs[0].spec, jobs[0].execution
+    spec, execution = items[0].spec, items[0].execution
     if any(
-        _common(job, job_inputs, spec) != _common(jobs[0], inputs[0], spec)
-        for job, job_inputs in zip(jobs, inputs, strict=True)
+        _common(item, item_inputs, spec) != _common(items[0], inputs[0], spec)
+        for item, item_inputs in zip(items, inputs, strict=True)
     ):
         raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
-    trials = [_trial(job.spec.trial, job_inputs) for job, job_inputs in zip(jobs, inputs, strict=True)]
+    trials = [_trial(item.spec.trial, item_inputs) for item, item_inputs in zip(items, inputs, strict=True)]
     environment = spec.trial.at_home(inputs[0])
     unit = OBJECTIVES[spec.trial.objective].unit
     of_history = {**_HISTORY_UNITS, "fitness": unit}
@@ -160,20 +161,20 @@ def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs])
     )
     return [
         {
-            POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=job.key),
-            HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=of_history),
+            POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=item.key),
+            HISTORY: encode_table(history, schema="history", version=1, producer=item.key, units=of_history),
             CURVE: encode_table(
-                _curve(trial.population, history), schema="curve", version=1, producer=job.key, units=of_curve
+                _curve(trial.population, history), schema="curve", version=1, producer=item.key, units=of_curve
             ),
         }
-        for job, trial, (after, history) in zip(jobs, trials, advanced, strict=True)
+        for item, trial, (after, history) in zip(items, trials, advanced, strict=True)
     ]
 
 
-def _common(job: Job[SegmentSpec], inputs: Inputs, first: SegmentSpec) -> tuple[SegmentSpec, Mapping[InputName, Files]]:
+def _common(item: Item[SegmentSpec], inputs: Inputs, first: SegmentSpec) -> tuple[object, object]:
     """Return what the trials of a batch must share: all of the specification but the identity, depth, and networks."""
-    identity = replace(first.trial.identity, depth=job.spec.trial.identity.depth)
-    return replace(job.spec, trial=replace(job.spec.trial, identity=identity)), environments.members_among(inputs)
+    identity = replace(first.trial.identity, depth=item.spec.trial.identity.depth)
+    return replace(item.spec, trial=replace(item.spec.trial, identity=identity)), networks_among(inputs)
 
 
 def _trial(spec: TrialSpec, inputs: Inputs) -> Trial:

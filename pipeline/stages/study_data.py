@@ -9,16 +9,25 @@ from numpy.random import Generator
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.stages import environments
-from pipeline.stages.assess import ASSESSED, PREDICTIONS, assessed_among, read_predictions
+from pipeline.stages.assess import ASSESSED, PREDICTIONS, AssessmentId, read_predictions
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
-from pipeline.stages.data_sets import DataSetId, data_set_of, main_data_set, own_network
-from pipeline.stages.environments import SimulationSpec
-from pipeline.stages.transfer import CHAMPION, SCORED, scores_inputs
-from pipeline.stages.trial_scores import scored_trial
+from pipeline.stages.data_sets import (
+    DataSetId,
+    NetworkId,
+    data_set_of,
+    data_sets,
+    ensemble_ids,
+    main_data_set,
+    networks_of,
+    own_network,
+)
+from pipeline.stages.environments import MEMBER, SINGLE, SimulationSpec, network_inputs, networks_among
+from pipeline.stages.transfer import CHAMPION, SCORED
+from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.workflow.identity import InputName, TrialId, arms_of
-from pipeline.workflow.stage import Execution, Input, Inputs, Upstream
+from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.analysis.registry import Assessed, Champion
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tank import Tank
@@ -60,28 +69,36 @@ def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
     )
 
 
-def data_inputs(
-    settings: Settings, trials: Sequence[TrialId], reads: Sequence[str], upstream: Upstream
-) -> dict[InputName, Input]:
+def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[str], upstream: Upstream) -> Sources:
     """Return the files of some trials that the data of some stages are in.
 
     Args:
         settings: the study's settings.
-        trials: the trials.
+        trials: the trials; those that need no networks are served by the main ensemble.
         reads: names of the stages.
         upstream: results of the stages before.
 
     Raises:
         MissingInputs: a network or throws that serve the trials are missing.
     """
-    inputs = scores_inputs(trials, upstream)
+    inputs: Sources = {}
+    for trial in trials:
+        if trial in upstream["transfer"].done:
+            scored = upstream["transfer"].done[trial][-1]
+            inputs[InputName(SCORED, trial)] = Input(scored, tuple(f for f in (SCORE, CHAMPION) if f in scored.files))
     if "assess" in reads:  # in the order of their labels: resampling depends on the order of designs
-        for trial, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
-            inputs[InputName(ASSESSED, trial)] = Input(share, (PREDICTIONS,))
+        for assessed, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
+            inputs[InputName(ASSESSED, assessed)] = Input(share, (PREDICTIONS,))
+    main = main_data_set(settings).group if {"train", "collect"} & set(reads) else ""
+    served = dict.fromkeys(data_set_of(trial, main) for trial in trials)
     if "train" in reads:
-        inputs |= environments.networks_inputs(settings, trials, upstream)
+        listed = [data_set for data_set in data_sets(settings) if data_set in served]
+        members = [network for data_set in listed for network in ensemble_ids(settings, data_set)]
+        own = dict.fromkeys(network for trial in trials for network in networks_of(settings, trial))
+        inputs |= network_inputs(members, upstream)
+        inputs |= network_inputs((one for one in own if one not in members), upstream, role=SINGLE)
     if "collect" in reads:
-        for data_set in dict.fromkeys(data_set_of(trial, main_data_set(settings).group) for trial in trials):
+        for data_set in served:
             inputs |= throws_inputs(upstream["collect"], data_set)
     return inputs
 
@@ -126,7 +143,12 @@ class StudyFiles:
     def has_networks(self) -> bool:
         """Whether every network is there that some trial evolved in."""
         needed = any(trial.environment in RESIDUAL_ENVIRONMENTS for trial in self.spec.trials)
-        return bool(environments.networks_among(self.inputs)) or not needed
+        return bool(self.networks) or not needed
+
+    @cached_property
+    def networks(self) -> dict[NetworkId, Files]:
+        """The members of ensembles, and the networks of single-member trials."""
+        return networks_among(self.inputs)
 
     @cached_property
     def trials(self) -> Sequence[ScoredTrial]:
@@ -144,7 +166,11 @@ class StudyFiles:
         return found
 
     def assessed(self, group: str) -> Assessed | None:
-        shares = assessed_among(self.inputs, group)
+        shares = [
+            files
+            for name, files in self.inputs.items()
+            if name.role == ASSESSED and isinstance(name.chain, AssessmentId) and name.chain.data_set.group == group
+        ]
         if not shares:
             return None
         table = read_predictions(shares)
@@ -156,7 +182,7 @@ class StudyFiles:
         return environments.true_slush(self.spec.simulation.media, depth)
 
     def home(self, champion: Champion) -> Environment:
-        networks = environments.home_networks_among(self.inputs, self.trial_of(champion))
+        networks = self._home_networks(champion)
         key = champion.environment, champion.depth, *networks
         if key not in self._homes:
             media = self.spec.simulation.media
@@ -171,7 +197,7 @@ class StudyFiles:
     def ensemble(self, champion: Champion | None = None) -> EnsembleMedium:
         data_set = self.data_set(champion)
         if data_set not in self._ensembles:
-            self._ensembles[data_set] = environments.ensemble_of(environments.ensemble_among(self.inputs, data_set))
+            self._ensembles[data_set] = environments.ensemble_of(self._members(data_set))
         return self._ensembles[data_set]
 
     def throws(self, champion: Champion | None = None) -> tuple[Transitions, Transitions]:
@@ -212,9 +238,22 @@ class StudyFiles:
 
     def data_set(self, champion: Champion | None) -> DataSetId:
         """Return the data set whose ensemble serves a champion; by default the main one."""
-        if champion is None:
-            return environments.main_data_set_among(self.inputs)
-        return environments.data_set_among(self.inputs, self.trial_of(champion))
+        main = next(iter(self.networks)).data_set
+        return main if champion is None else data_set_of(self.trial_of(champion), main.group)
+
+    def _members(self, data_set: DataSetId) -> dict[NetworkId, Files]:
+        members = networks_among(self.inputs, MEMBER)
+        return {network: files for network, files in members.items() if network.data_set == data_set}
+
+    def _home_networks(self, champion: Champion) -> dict[NetworkId, Files]:
+        trial, kind = self.trial_of(champion), ENVIRONMENTS[champion.environment]
+        if kind.networks == "none":
+            return {}
+        data_set = data_set_of(trial, kind.learns_from)
+        if kind.networks == "all":
+            return self._members(data_set)
+        own = NetworkId(data_set, own_network(trial))
+        return {own: self.networks[own]}
 
     @cached_property
     def _trials(self) -> Mapping[tuple[str, float, int], TrialId]:

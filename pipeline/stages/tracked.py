@@ -90,7 +90,7 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
 
 
-def outside_files(tracks: Tracks) -> dict[InputName, OutsideFile]:
+def outside_files(tracks: Tracks) -> Mapping[InputName, OutsideFile]:
     """Return the files that an item reads.
 
     Raises:

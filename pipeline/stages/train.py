@@ -21,7 +21,6 @@ from pipeline.workflow.stage import (
     Files,
     Inputs,
     Item,
-    Job,
     Results,
     Stage,
     Summary,
@@ -74,10 +73,10 @@ def _item(
     return Item(TRAIN.name, TRAIN.version, chain.label, chain.spec, throws, execution)
 
 
-def _compute(job: Job[MemberSpec], inputs: Inputs) -> Files:
+def _compute(item: Item[MemberSpec], inputs: Inputs) -> Files:
     from tasks.residual.training import train_member
 
-    spec, transitions = job.spec, read_transitions(throws_among(inputs))
+    spec, transitions = item.spec, read_transitions(throws_among(inputs))
     trained = train_member(transitions, spec.network, spec.training, seed=spec.seed, member=spec.member)
     iteration, training_loss, validation_loss = trained.learning_curve.T
     learning = {
@@ -87,9 +86,9 @@ def _compute(job: Job[MemberSpec], inputs: Inputs) -> Files:
     }
     errors = {f.name: np.array([getattr(row, f.name) for row in trained.validation]) for f in fields(ErrorRow)}
     return {
-        WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=job.key),
-        _LEARNING: encode_table(learning, schema="learning", version=1, producer=job.key),
-        MEMBER_ERRORS: encode_table(errors, schema="errors", version=1, producer=job.key, units=_ERROR_UNITS),
+        WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=item.key),
+        _LEARNING: encode_table(learning, schema="learning", version=1, producer=item.key),
+        MEMBER_ERRORS: encode_table(errors, schema="errors", version=1, producer=item.key, units=_ERROR_UNITS),
     }
 
 

@@ -7,12 +7,14 @@ Slush: the gap that remains is the body's fault.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.report.render import as_text
 from pipeline.stages import divergence, environments, segments
+from pipeline.stages.data_sets import networks_of
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.segments import CHAMPION_OF, POPULATION, SegmentSpec, TrialSpec
 from pipeline.stages.trial_scores import SCORE, TrialScores, decode_scores, encode_scores, scored_trial
@@ -21,7 +23,7 @@ from pipeline.store.encoding import encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
-from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -29,8 +31,8 @@ from pipeline.workflow.stage import (
     Input,
     Inputs,
     Item,
-    Job,
     Results,
+    Sources,
     Stage,
     Summary,
     TrialSummary,
@@ -75,7 +77,7 @@ def _item(
     settings: Settings, chain: Chain[TrialSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[TransferSpec]:
     evolved = upstream["evolve"].chain(chain.spec.identity.in_stage("evolve"))[-1]
-    inputs = {CHAMPION_OF: Input(evolved, (POPULATION,))}
+    inputs: Sources = {CHAMPION_OF: Input(evolved, (POPULATION,))}
     spec: TransferSpec
     if index < chain.n_items - 1:
         label, spec = f"{chain.label}/adaptation-{index}", segments.segment_of(chain, index)
@@ -85,26 +87,25 @@ def _item(
         home = environments.simulation_spec(settings, trial.environment)
         deviation = environments.fitness_spec(settings, trial.environment).deviation
         label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation)
-        inputs |= environments.home_inputs(settings, trial, upstream)
+        inputs |= environments.network_inputs(networks_of(settings, trial), upstream)
         if previous is not None:
             inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
     execution = environments.execution_options(settings, "true_slush")
     return Item(TRANSFER.name, TRANSFER.version, label, spec, inputs, execution)
 
 
-def _compute(job: Job[TransferSpec], inputs: Inputs) -> Files:
-    return _compute_batch([job], [inputs])[0]
+def _compute(item: Item[TransferSpec], inputs: Inputs) -> Files:
+    return _compute_batch([item], [inputs])[0]
 
 
-def _compute_batch(jobs: Sequence[Job[TransferSpec]], inputs: Sequence[Inputs]) -> list[Files]:
+def _compute_batch(items: Sequence[Item[TransferSpec]], inputs: Sequence[Inputs]) -> list[Files]:
     """Advance adaptations together, or score champions one after another, which takes only milliseconds."""
-    adaptations = [Job(job.key, job.spec, job.execution) for job in jobs if isinstance(job.spec, SegmentSpec)]
-    if adaptations:
-        return segments.compute_segments(adaptations, inputs)
+    if isinstance(items[0].spec, SegmentSpec):
+        return segments.compute_segments(cast(Sequence[Item[SegmentSpec]], items), inputs)
     return [
-        _score(job.spec, job.execution, job_inputs)
-        for job, job_inputs in zip(jobs, inputs, strict=True)
-        if isinstance(job.spec, ScoreSpec)
+        _score(item.spec, item.execution, item_inputs)
+        for item, item_inputs in zip(items, inputs, strict=True)
+        if isinstance(item.spec, ScoreSpec)
     ]
 
 
@@ -116,7 +117,8 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     if champion is None:
         return {SCORE: encode_scores(None)}
     files = {CHAMPION: encode_json(design_document(champion))}
-    at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, inputs)
+    networks = environments.networks_among(inputs)
+    at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, networks)
     by_member = np.atleast_2d(environments.roll_out(home, execution, at_home, champion).displacement)[:, 0]
     has_sd = at_home.is_ensemble and len(by_member) > 1
     zero_shot, zero_shot_com = _in_true_slush(trial, execution, champion)
@@ -147,16 +149,6 @@ def _in_true_slush(trial: TrialSpec, execution: Execution, design: Designs) -> t
     rollouts = environments.roll_out(trial.simulation, execution, trial.at_home({}), design)
     root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
     return (root, whole) if np.isfinite(root) else (np.nan, np.nan)
-
-
-def scores_inputs(trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
-    """Return scores and champions of the trials that have them as inputs."""
-    done = upstream["transfer"].done
-    scored = {InputName(SCORED, trial): done[trial][-1] for trial in trials if trial in done}
-    return {
-        name: Input(manifest, tuple(file for file in (SCORE, CHAMPION) if file in manifest.files))
-        for name, manifest in scored.items()
-    }
 
 
 def read_trials(settings: Settings, results: Results, store: Store) -> list[ScoredTrial]:

@@ -2,7 +2,7 @@
 
 They are part of an item's record and of no key: whether an edit changes results, only its author knows. The code of a
 stage is that of the modules that specify and compute its items, and of all that they import of the science, the stages
-and the report.
+and the report. A module that is added changes the results of none that was there.
 """
 
 from __future__ import annotations
@@ -41,26 +41,23 @@ def sources() -> Sources:
 def recorded_code(stage: AnyStage) -> dict[str, str]:
     """Return what an item's record says of the code that made it.
 
-    ``stage`` is the digest that counts. ``files``, a digest of all modules as they are, costs milliseconds: where it is
-    the same, nothing has to be parsed.
+    ``modules`` lists a short digest of every module that the stage imports, directly or not. ``files``, a digest of all
+    modules as they are, costs milliseconds: where it is the same, nothing has to be parsed.
     """
-    return {"stage": _stage_digest(*_modules(stage)), "files": _files_digest()}
+    return {"modules": " ".join(sorted(_digests(*_modules(stage)))), "files": _files_digest()}
 
 
 def is_of_other_code(manifest: Manifest, stage: AnyStage) -> bool:
-    """Return whether a different version of the code made an item; False if its record has no digest of it."""
+    """Return whether a module that made an item has changed since, or is gone. Items of earlier versions do not say."""
     code = manifest.record.get("code")
-    if not isinstance(code, Mapping) or "stage" not in code or code.get("files") == _files_digest():
+    if not isinstance(code, Mapping) or "modules" not in code or code.get("files") == _files_digest():
         return False
-    return bool(code["stage"] != _stage_digest(*_modules(stage)))
+    return not set(str(code["modules"]).split()) <= _digests(*_modules(stage))
 
 
 @functools.cache
 def _files_digest() -> str:
-    joined = hashlib.sha256()
-    for name, content in sources().items():
-        joined.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
-    return joined.hexdigest()
+    return hashlib.sha256(repr(sorted(sources().items())).encode()).hexdigest()
 
 
 def _modules(stage: AnyStage) -> tuple[str, str]:
@@ -68,14 +65,16 @@ def _modules(stage: AnyStage) -> tuple[str, str]:
 
 
 @functools.cache
-def _stage_digest(*modules: str) -> str:
-    return code_digest(modules, sources())
+def _digests(*modules: str) -> set[str]:
+    return digests(modules, sources())
 
 
-def code_digest(modules: Sequence[str], files: Sources) -> str:
-    """Return a digest of modules and all that they import, without comments and docstrings."""
-    lines = [f"{name} {_parsed(files[name]).digest}\n" for name in sorted(imported(modules, files))]
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
+def digests(modules: Sequence[str], files: Sources) -> set[str]:
+    """Return a short digest of each of some modules and of all that they import, without comments and docstrings."""
+    return {
+        hashlib.sha256(f"{name} {_parsed(files[name]).text}".encode()).hexdigest()[:8]
+        for name in imported(modules, files)
+    }
 
 
 def imported(modules: Sequence[str], files: Sources) -> set[str]:
@@ -105,7 +104,7 @@ def imported(modules: Sequence[str], files: Sources) -> set[str]:
 class _Parsed:
     """What counts of a module."""
 
-    digest: str
+    text: str
     imports: tuple[tuple[str, tuple[str, ...]], ...]  # modules, each with what is imported from it, by full names
 
 
@@ -124,7 +123,7 @@ def _parsed(source: bytes) -> _Parsed:
             if isinstance(statements := getattr(node, part, None), list):
                 statements[:] = [one for one in statements if not _is_text(one)]
                 pending += statements
-    return _Parsed(hashlib.sha256(ast.unparse(tree).encode()).hexdigest(), tuple(imports))
+    return _Parsed(ast.unparse(tree), tuple(imports))
 
 
 def _is_text(node: ast.AST) -> bool:

@@ -18,7 +18,7 @@ from pipeline.workflow.code_digest import recorded_code
 from pipeline.workflow.graph import ChainProgress, StageRun, is_split
 from pipeline.workflow.identity import InputName, to_json
 from pipeline.workflow.progress import Bar
-from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, Job
+from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, OutsideFile
 
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
 _QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
@@ -120,7 +120,6 @@ class _Dispatcher:
         contents: list[Handle | Files] = []
         for item in items:
             contents += [self._contents(source) for source in item.inputs.values()]
-            contents += [file.read() for file in item.outside.values()]
         item = items[0]
         if item.execution.n_gpus and not self._cluster.n_gpus:  # Ray would wait for one forever
             raise PuddleError(
@@ -132,8 +131,8 @@ class _Dispatcher:
             _compute_items,
             self._stage.compute,
             self._stage.compute_batch,
-            [item.job for item in items],
-            [(*item.inputs, *item.outside) for item in items],
+            items,
+            [tuple(item.inputs) for item in items],
             *contents,
             n_cores=0.0 if is_split(item) else 1.0,
             n_gpus=float(item.execution.n_gpus),
@@ -142,14 +141,13 @@ class _Dispatcher:
         )
         self._running[ticket] = list(zip(chains, items, strict=True))
 
-    def _contents(self, source: Input) -> Handle | Files:
+    def _contents(self, source: Input | OutsideFile) -> Handle | Files:
         """Read an input. Other stages' results are used many times, so they are shared once."""
-        manifest, store = source.manifest, self._run.store
-        if manifest.stage == self._stage.name:
-            return {name: store.read(manifest, name) for name in source.files}
-        slot = (manifest.key, source.files)
+        if isinstance(source, OutsideFile) or source.manifest.stage == self._stage.name:
+            return source.read(self._run.store)
+        slot = (source.manifest.key, source.files)
         if slot not in self._shared:
-            self._shared[slot] = self._cluster.share({name: store.read(manifest, name) for name in source.files})
+            self._shared[slot] = self._cluster.share(source.read(self._run.store))
         return self._shared[slot]
 
     def _finish(self, ticket: Ticket, outcome: Outcome) -> list[ChainProgress]:
@@ -206,9 +204,9 @@ def _take_batch(ready: list[tuple[float, int]], chains: Sequence[ChainProgress],
 
 
 def _compute_items(
-    compute: Callable[[Job[Any], Inputs], Files],
-    compute_batch: Callable[[Sequence[Job[Any]], Sequence[Inputs]], Sequence[Files]] | None,
-    jobs: Sequence[Job[Any]],
+    compute: Callable[[Item[Any], Inputs], Files],
+    compute_batch: Callable[[Sequence[Item[Any]], Sequence[Inputs]], Sequence[Files]] | None,
+    items: Sequence[Item[Any]],
     names: Sequence[tuple[InputName, ...]],
     *contents: Files,
 ) -> tuple[Sequence[Files], float]:
@@ -219,6 +217,6 @@ def _compute_items(
     start = time.perf_counter()
     left = iter(contents)
     inputs = [dict(zip(item_names, itertools.islice(left, len(item_names)), strict=True)) for item_names in names]
-    if len(jobs) == 1 or compute_batch is None:
-        return [compute(jobs[0], inputs[0])], time.perf_counter() - start
-    return compute_batch(jobs, inputs), time.perf_counter() - start
+    if len(items) == 1 or compute_batch is None:
+        return [compute(items[0], inputs[0])], time.perf_counter() - start
+    return compute_batch(items, inputs), time.perf_counter() - start

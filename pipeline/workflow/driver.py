@@ -1,10 +1,13 @@
 """The driver: the one process that runs a study's stages, commits their results and mirrors them to MLflow."""
 
+from __future__ import annotations
+
 import contextlib
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from pipeline import kernels
 from pipeline.cluster import Cluster
@@ -19,8 +22,11 @@ from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require
 from pipeline.workflow.progress import NOTHING, Progress, StudyTimes
 from pipeline.workflow.record import DrivenStudy, RecordingBar
 from pipeline.workflow.stage import AnyStage, Results, Upstream
-from pipeline.workflow.study_mirror import StudyMirror, TracksRuns
+from pipeline.workflow.study_mirror import StudyMirror
 from tasks.world import Physics
+
+if TYPE_CHECKING:
+    from pipeline.tracking.mirror import Tracker
 
 
 def drive(
@@ -30,7 +36,7 @@ def drive(
     stages: Sequence[AnyStage],
     store: Store,
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
-    tracker: TracksRuns,
+    tracker: Tracker,
     progress: Progress,
     how_to_run: Callable[[str], str],
     source: str = "",

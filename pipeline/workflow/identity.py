@@ -100,6 +100,19 @@ class TrialId:
         return replace(self, stage=stage)
 
 
+@dataclass(frozen=True)
+class OutputId:
+    """What a stage makes of a whole study, or of one arm: the table of an analysis, the page, the film."""
+
+    name: str
+    arm: Arm | None = None
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        return f"{self.name}/{self.arm.label}" if self.arm else self.name
+
+
 def trials_of(settings: Settings, stage: str) -> list[TrialId]:
     """List the study's trials as chains of a stage."""
     return [TrialId(stage, *row, settings.replicates) for row in settings.grid.trials()]

@@ -84,15 +84,24 @@ class Input:
     manifest: Manifest
     files: tuple[str, ...]
 
+    @property
+    def digest(self) -> str:
+        """What enters the key of an item that reads it."""
+        return self.manifest.digest
+
+    def read(self, store: Store) -> Files:
+        """Return the contents by file name."""
+        return {name: store.read(self.manifest, name) for name in self.files}
+
 
 @dataclass(frozen=True)
 class OutsideFile:
     """A user's file, from outside the store. The driver reads it when it submits the item."""
 
     path: str
-    sha256: str  # of its content, which alone enters the item's key
+    digest: str  # SHA-256 of its content, which alone enters the item's key
 
-    def read(self) -> Files:
+    def read(self, _store: Store | None = None) -> Files:
         """Return the content by the file's path.
 
         Raises:
@@ -101,21 +110,15 @@ class OutsideFile:
         path = Path(self.path)
         with disk.explained("reading", path):
             content = path.read_bytes()
-        if (found := digest(content)) != self.sha256:
+        if (found := digest(content)) != self.digest:
             raise PuddleError(
-                f"{path}: expected the file with the SHA-256 {self.sha256[:12]}…, got {found[:12]}…: it has changed "
+                f"{path}: expected the file with the SHA-256 {self.digest[:12]}…, got {found[:12]}…: it has changed "
                 f"since the study was recorded. Name it again (`puddle collect --tracks`) to learn from it as it is"
             )
         return {self.path: content}
 
 
-@dataclass(frozen=True)
-class Job(Generic[ItemSpecT]):
-    """What a worker receives of an item, besides its inputs."""
-
-    key: str  # the item's key, which its tables name as their producer
-    spec: ItemSpecT
-    execution: Execution
+Sources: TypeAlias = dict[InputName, Input | OutsideFile]
 
 
 @dataclass(frozen=True)
@@ -126,15 +129,13 @@ class Item(Generic[ItemSpecT]):
     version: int
     label: str
     spec: ItemSpecT  # everything that changes the result, besides inputs: settings, seed, trial
-    inputs: Mapping[InputName, Input]
+    inputs: Sources
     execution: Execution = Execution()
-    outside: Mapping[InputName, OutsideFile] = field(default_factory=dict)  # read like inputs
 
     @cached_property
     def identity(self) -> Mapping[str, Json]:
         """What the key is the hash of."""
-        inputs = {name.label: source.manifest.digest for name, source in self.inputs.items()}
-        inputs |= {name.label: file.sha256 for name, file in self.outside.items()}
+        inputs = {name.label: source.digest for name, source in self.inputs.items()}
         return {"stage": self.stage, "version": self.version, "spec": to_json(self.spec), "inputs": inputs}
 
     @cached_property
@@ -142,10 +143,9 @@ class Item(Generic[ItemSpecT]):
         """The SHA-256 of the identity."""
         return key_of(self.identity)
 
-    @property
-    def job(self) -> Job[ItemSpecT]:
-        """What its worker receives."""
-        return Job(key=self.key, spec=self.spec, execution=self.execution)
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a worker receives; it gets the contents of the inputs beside it."""
+        return {**vars(self), "key": self.key, "inputs": {}, "identity": {}}
 
 
 @dataclass(frozen=True)
@@ -203,9 +203,9 @@ class Stage(Generic[ChainSpecT, ItemSpecT]):
     plan: Callable[[Settings], Sequence[Chain[ChainSpecT]]]
     item: Callable[[Settings, Chain[ChainSpecT], int, Manifest | None, Upstream], Item[ItemSpecT]]
     """Specify item i of a chain from the item before it (None at the chain's start) and the stages it reads."""
-    compute: Callable[[Job[ItemSpecT], Inputs], Files]  # runs on a worker: no store, no clock
+    compute: Callable[[Item[ItemSpecT], Inputs], Files]  # runs on a worker: no store, no clock
     summarise: Callable[[Settings, Results, Store], Summary]
-    compute_batch: Callable[[Sequence[Job[ItemSpecT]], Sequence[Inputs]], Sequence[Files]] | None = None
+    compute_batch: Callable[[Sequence[Item[ItemSpecT]], Sequence[Inputs]], Sequence[Files]] | None = None
     """Compute items that form a batch in one call: the same files as ``compute`` makes of each, but faster."""
     diverged: Callable[[Settings, Results, Store], Mapping[ChainId, str]] = lambda settings, results, store: {}
     """Describe what diverged, by complete chain; chains that stayed finite are left out."""

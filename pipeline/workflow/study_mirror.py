@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -22,6 +22,9 @@ from pipeline.workflow.identity import ChainId, TrialId
 from pipeline.workflow.record import preset_of
 from pipeline.workflow.stage import AnyStage, Results, Summary, TrialSummary, Upstream
 
+if TYPE_CHECKING:
+    from pipeline.tracking.mirror import Tracker
+
 SECONDS_BETWEEN_UPDATES = 15.0  # so that a segment is in MLflow within 30 s of its commit
 _POINTS_OF_A_CURVE = 100  # a point costs a fifth of a millisecond, and a page of MLflow shows 320 of them at most
 _FOLDERS = {
@@ -33,27 +36,6 @@ _FOLDERS = {
 """Folders of a study's artifacts, by suffix; other files lie beside the folders."""
 
 
-class TracksRuns(Protocol):
-    """What mirrors runs: :class:`pipeline.tracking.mirror.Tracker`, which never raises an error of MLflow."""
-
-    def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
-        """Bring a stage of a study and some of its trials up to date.
-
-        Args:
-            study: the study's run.
-            stage: the stage's run.
-            trials: runs of the stage's trials; those left out stay as they are.
-        """
-
-    def stop(self, study: Run, status: Literal["KILLED", "FAILED"]) -> None:
-        """Mark the runs of a study that have not ended.
-
-        Args:
-            study: the study's run.
-            status: KILLED by a signal, or FAILED.
-        """
-
-
 class StudyMirror:
     """Mirrors one study in the background, so that MLflow costs the study no time."""
 
@@ -62,7 +44,7 @@ class StudyMirror:
         settings: Settings,
         stages: Sequence[AnyStage],
         store: Store,
-        tracker: TracksRuns,
+        tracker: Tracker,
         background: Background,
         *,
         source: str,

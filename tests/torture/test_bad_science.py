@@ -14,7 +14,7 @@ from pipeline.commands.terminal import INCOMPLETE
 from pipeline.stages import STAGES, environments
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.store.store import Store
-from pipeline.workflow.stage import AnyStage, Files, Inputs, Job
+from pipeline.workflow.stage import AnyStage, Files, Inputs, Item
 from tasks.residual.training import train_member
 from tasks.world import Slush, TrueSlush
 
@@ -54,24 +54,24 @@ def inject(monkeypatch: pytest.MonkeyPatch, **computes) -> None:
     monkeypatch.setattr(pipeline.stages, "STAGES", stages)
 
 
-def train_one_on_a_nan(job: Job, inputs: Inputs) -> Files:
+def train_one_on_a_nan(item: Item, inputs: Inputs) -> Files:
     """Train member 1 on measurements that are not numbers."""
-    if job.spec.member != 1:
-        return STAGES[1].compute(job, inputs)
+    if item.spec.member != 1:
+        return STAGES[1].compute(item, inputs)
     transitions = read_transitions(throws_among(inputs))
     transitions.residual[:] = np.nan
-    train_member(transitions, job.spec.network, job.spec.training, seed=job.spec.seed, member=1)
+    train_member(transitions, item.spec.network, item.spec.training, seed=item.spec.seed, member=1)
     raise AssertionError("the training succeeded, expected it to diverge")
 
 
-def evolve_some_badly(job: Job, inputs: Inputs) -> Files:
+def evolve_some_badly(item: Item, inputs: Inputs) -> Files:
     """Let two trials on dry land fail."""
-    trial = job.spec.trial.identity
+    trial = item.spec.trial.identity
     if (trial.environment, trial.index) == ("dry_land", 1):
         raise ArithmeticError("a defect")
     if (trial.environment, trial.index) == ("dry_land", 2):
         np.zeros(2**50)
-    return STAGES[3].compute(job, inputs)
+    return STAGES[3].compute(item, inputs)
 
 
 def test_failures_are_named_and_the_rest_completes(options, monkeypatch, tmp_path, capsys):

@@ -34,7 +34,7 @@ def page_of(settings, tmp_path):
         chain = next(chain for chain in REPORT.plan(changed) if chain.label == PAGE)
         item = REPORT.item(changed, chain, 0, None, upstream)
         inputs = {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
-        return REPORT.compute(item.job, inputs)[PAGE].decode()
+        return REPORT.compute(item, inputs)[PAGE].decode()
 
     return page
 

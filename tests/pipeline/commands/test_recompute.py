@@ -17,7 +17,7 @@ def store(options) -> Store:
         manifest = store.manifest("evolve", key)
         files = {name: store.read(manifest, name) for name in manifest.files}
         store.discard("evolve", key)
-        record = {**manifest.record, "code": {"stage": "0" * 64, "files": "0" * 64}}
+        record = {**manifest.record, "code": {"modules": "00000000", "files": "0" * 64}}
         store.commit("evolve", key, manifest.identity, files, record=record)
     return store
 

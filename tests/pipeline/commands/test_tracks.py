@@ -58,7 +58,7 @@ def test_a_data_set_is_made_of_tracks(collected) -> None:
     assert isinstance(found, MeasuredTransitions) and np.unique(found.throw).tolist() == [0, 1, 2, 3]
     item = TRAIN.item(study.settings, TRAIN.plan(study.settings)[0], 0, None, study.upstream)
     inputs = {name: {of: study.store.read(part, of) for of in source.files} for name, source in item.inputs.items()}
-    assert "errors.parquet" in TRAIN.compute(item.job, inputs)
+    assert "errors.parquet" in TRAIN.compute(item, inputs)
 
 
 def test_robots_evolve_from_tracks(collected, tmp_path) -> None:

@@ -32,7 +32,7 @@ def computed(settings, upstream, store, change=lambda inputs: inputs):
     tables = {}
     for chain in ANALYSE.plan(settings):
         item = ANALYSE.item(settings, chain, 0, None, upstream)
-        files = ANALYSE.compute(item.job, change(inputs_of(store, item)))
+        files = ANALYSE.compute(item, change(inputs_of(store, item)))
         tables[chain.label] = read_columns(files, ANALYSES[chain.spec.analysis])
     return tables
 

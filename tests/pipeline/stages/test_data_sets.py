@@ -183,7 +183,7 @@ def test_tables_name_the_data_set(sets):
     store, upstream = sets
     tables = study_tables.parts_of("learning_curves", upstream["train"], store, only={})
     assert {name for table in tables for name in table["data_set"].to_pylist()} == {
-        of.words for of in data_sets(settings_with())
+        of.label for of in data_sets(settings_with())
     }
 
 

@@ -9,7 +9,7 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import PilotSettings, Settings
 from pipeline.stages import STAGES
 from pipeline.stages.data_sets import DataSetId
-from pipeline.stages.pilot import COVERAGE, PILOT, STATES, PilotId, read_coverage
+from pipeline.stages.pilot import COVERAGE, PILOT, STATES, read_coverage
 from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
 from tasks.residual import OBSERVATION
@@ -43,7 +43,7 @@ def pilots(tmp_path_factory):
 
 
 def files(store, results, group):
-    (done,) = results.done[PilotId(DataSetId(group, 0))]
+    (done,) = results.done[DataSetId(group, 0)]
     return {name: store.read(done, name) for name in done.files}
 
 

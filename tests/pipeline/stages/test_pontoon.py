@@ -15,12 +15,11 @@ from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages.analyse import ANALYSE, read_columns
 from pipeline.stages.evolve import EVOLVE
-from pipeline.stages.part import PartId
 from pipeline.stages.report import PAGE, REPORT
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
-from pipeline.workflow.identity import Arm
+from pipeline.workflow.identity import Arm, OutputId
 from tasks.analysis.tables import ANALYSES
 from tasks.design import Designs
 from tasks.evolution import OPERATORS
@@ -69,7 +68,7 @@ def built(pontoon, tmp_path_factory):
 @pytest.fixture(scope="module")
 def tank(built):
     store, upstream = built
-    (done,) = upstream["analyse"].done[PartId("tank", Arm("designed_throws", 2.0))]
+    (done,) = upstream["analyse"].done[OutputId("tank", Arm("designed_throws", 2.0))]
     return read_columns({name: store.read(done, name) for name in done.files}, ANALYSES["tank"])
 
 

@@ -101,7 +101,7 @@ def test_a_study_without_a_champion_has_no_film_and_no_failure(study, settings):
     store, upstream = study
     item = item_of("film", settings, upstream)
     inputs = with_scores(inputs_of(store, item), status="no champion: every design of the trial diverged")
-    assert REPORT.compute(item.job, inputs) == {"replay.json": encode_json({"shown": []})}
+    assert REPORT.compute(item, inputs) == {"replay.json": encode_json({"shown": []})}
 
 
 def test_failed_and_untried_work_items_are_listed_apart(study, settings):

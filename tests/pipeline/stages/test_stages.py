@@ -52,7 +52,7 @@ def test_contract(stage, settings, study):
             name: {file: store.read(source.manifest, file) for file in source.files}
             for name, source in item.inputs.items()
         }
-        files = stage.compute(item.job, inputs)
+        files = stage.compute(item, inputs)
         assert {name: store.read(manifest, name) for name in manifest.files} == files  # pure: the same bytes again
     summary = stage.summarise(settings, upstream[stage.name], store)
     assert summary.lines

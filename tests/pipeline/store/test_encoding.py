@@ -20,7 +20,6 @@ from hypothesis.extra.numpy import arrays as numpy_arrays
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.encoding import (
     canonical_json,
-    check_format,
     decode_arrays,
     decode_document,
     decode_json,
@@ -170,12 +169,6 @@ def test_text_and_odd_types_are_no_weights() -> None:
             encode_arrays({"w": array}, **FORMAT, producer="")
 
 
-def test_other_tools_read_the_weights() -> None:
-    arrays = example_arrays()
-    loaded = safetensors.numpy.load(encode_arrays(arrays, **FORMAT, producer=""))
-    assert same(arrays, {name: loaded[name] for name in arrays})
-
-
 # -- the same bytes, always ------------------------------------------------------------------------------------------
 
 
@@ -224,14 +217,15 @@ def test_any_bytes_are_refused(kind: str, data: bytes) -> None:
 def test_foreign_files_are_named_as_such() -> None:
     sink = io.BytesIO()
     pq.write_table(pa.table({"x": [1, 2]}), sink)
-    with pytest.raises(PuddleError, match=r"expected 'test.format' version 3, got a file that puddle did not write"):
-        DECODE["table"](sink.getvalue())
-    with pytest.raises(PuddleError, match="puddle did not write"):
-        DECODE["arrays"](safetensors.numpy.save({"w": np.zeros(3, np.float32)}))
-    with pytest.raises(PuddleError, match="puddle did not write"):
-        DECODE["document"](b'{"schema": 3}')
-    with pytest.raises(PuddleError, match="puddle did not write"):
-        DECODE["document"](b"[1]")
+    weights = safetensors.numpy.save({"w": np.zeros(3, np.float32)})
+    for kind, data in {"table": sink.getvalue(), "arrays": weights, "document": b'{"schema": 3}'}.items():
+        with pytest.raises(PuddleError, match="got a file that puddle did not write"):
+            DECODE[kind](data)
+
+
+def test_a_document_of_another_kind_is_damage() -> None:
+    with pytest.raises(DamagedArtifact, match="the file"):
+        DECODE["document"](b'{"schema": "other", "version": 3}')
 
 
 @pytest.mark.parametrize("kind", DECODE)
@@ -251,12 +245,6 @@ def test_other_formats_and_versions_are_refused(kind: str, found: dict[str, obje
     }[kind]()
     with pytest.raises(PuddleError, match=f"the file: .*{message}"):
         DECODE[kind](data)
-
-
-def test_a_version_is_a_whole_number() -> None:
-    for version in (True, "3", 3.0, None):
-        with pytest.raises(PuddleError, match="right file"):
-            check_format({"schema": "test.format", "version": version}, **FORMAT, source="s")
 
 
 # -- JSON ------------------------------------------------------------------------------------------------------------
@@ -321,9 +309,3 @@ def test_what_claims_more_memory_than_allowed_is_refused(monkeypatch: pytest.Mon
     monkeypatch.setattr("pipeline.store.encoding.MAX_TABLE_BYTES", 1000)
     with pytest.raises(PuddleError, match=r"the file: .* expected at most 1000 bytes in memory"):
         DECODE["table"](data)
-
-
-@pytest.mark.parametrize("value", [b'{"seconds": 1.5', b"[1]", b'{"schema": "other", "version": 3}'])
-def test_what_is_no_document_of_puddle_is_damage(value: bytes) -> None:
-    with pytest.raises(DamagedArtifact, match="the file"):
-        DECODE["document"](value)

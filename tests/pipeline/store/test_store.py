@@ -141,24 +141,6 @@ def test_processes_that_make_and_fill_one_store_at_once(tmp_path: Path) -> None:
     assert not [name for name in tree(root) if name.endswith(".tmp")]
 
 
-def test_threads_that_differ_leave_one_result_whole(store: Store) -> None:
-    outcomes: list[str] = []
-
-    def work(n: int) -> None:
-        try:
-            outcomes.append(commit(store, {"a": b"%d" % n * 10_000, "b": b"%d" % n}).digest)
-        except Irreproducible:
-            outcomes.append("refused")
-
-    threads = [threading.Thread(target=work, args=(n,)) for n in range(6)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert outcomes.count("refused") == 5
-    assert store.verify() == [] and store.manifest("evolve", KEY).digest in outcomes
-
-
 # -- studies ---------------------------------------------------------------------------------------------------------
 
 

@@ -6,8 +6,7 @@ import pytest
 from one_item import FILES, IDENTITY, KEY, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.store import disk
-from pipeline.store.encoding import encode_document, key_of
+from pipeline.store.encoding import encode_document
 from pipeline.store.store import Store, StudyRecord
 
 # -- damage ----------------------------------------------------------------------------------------------------------
@@ -61,32 +60,15 @@ def test_a_missing_or_cut_file_is_noticed_before_it_is_read(store: Store) -> Non
         store.manifest("evolve", KEY)
 
 
-def test_a_commit_leaves_no_stray_files(store: Store) -> None:
-    disk.make_folders(store.root, item(store))
-    (item(store) / ".history.parquet.tmp").write_bytes(b"half of it")
-    (item(store) / "old").write_bytes(b"of a commit that died")
-    commit(store)
-    assert {path.name for path in item(store).iterdir()} == {*FILES, "manifest.json"}
-
-
 def test_a_commit_replaces_a_damaged_item(store: Store) -> None:
     commit(store)
     undisturbed = tree(store.root)
+    (item(store) / ".history.parquet.tmp").write_bytes(b"half of it")
     for name in ("state.safetensors", "manifest.json"):
         path = item(store) / name
         path.write_bytes(b"x" * len(path.read_bytes()))
         commit(store)
         assert tree(store.root) == undisturbed
-
-
-def test_a_manifest_in_another_items_place_is_refused(store: Store) -> None:
-    commit(store)
-    other = {**IDENTITY, "version": 2}
-    store.commit("evolve", key_of(other), other, FILES, record={})
-    where = store.root / "items" / "evolve" / key_of(other)[:2] / key_of(other) / "manifest.json"
-    where.write_bytes((item(store) / "manifest.json").read_bytes())
-    with pytest.raises(DamagedArtifact, match=f"expected evolve {key_of(other)}, got evolve {KEY}"):
-        store.manifest("evolve", key_of(other))
 
 
 def test_a_manifest_of_a_newer_puddle_is_neither_used_nor_lost(store: Store) -> None:
@@ -139,7 +121,7 @@ def test_a_store_of_a_newer_puddle_or_a_damaged_one_is_refused(tmp_path: Path) -
 
 # -- names and links -------------------------------------------------------------------------------------------------
 
-HOSTILE = ["", ".", "..", "../x", "/etc", "a/b", "a\\b", "A", "-a", "_a", "a.b", "a\n", "a\0b", "é", "x" * 65, "a b"]
+HOSTILE = ["", "..", "/etc", "a/b", "A", "-a", "a.b", "a\n", "é", "x" * 65]
 
 
 @pytest.mark.parametrize("name", HOSTILE)

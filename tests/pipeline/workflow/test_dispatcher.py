@@ -14,7 +14,7 @@ from pipeline.stages.segments import SegmentSpec
 from pipeline.stages.transfer import TRANSFER
 from pipeline.store.store import Store
 from pipeline.workflow import dispatcher
-from pipeline.workflow.stage import AnyStage, Files, Inputs, Job
+from pipeline.workflow.stage import AnyStage, Files, Inputs, Item
 
 
 def tiny(*overrides: str) -> Settings:
@@ -122,11 +122,11 @@ class Batches:
         self.batched = set[tuple[str, bool]]()
         """Stages with batches, and whether those were of segments."""
 
-    def submit(self, function, compute, compute_batch, jobs, *rest, **options) -> Ticket:
-        self.batches.append([job.spec.trial.identity.index for job in jobs])
-        if len(jobs) > 1:
-            self.batched.add((jobs[0].spec.trial.identity.stage, isinstance(jobs[0].spec, SegmentSpec)))
-        return self.inner.submit(function, compute, compute_batch, jobs, *rest, **options)
+    def submit(self, function, compute, compute_batch, items, *rest, **options) -> Ticket:
+        self.batches.append([item.spec.trial.identity.index for item in items])
+        if len(items) > 1:
+            self.batched.add((items[0].spec.trial.identity.stage, isinstance(items[0].spec, SegmentSpec)))
+        return self.inner.submit(function, compute, compute_batch, items, *rest, **options)
 
     def __getattr__(self, name: str):
         return getattr(self.inner, name)
@@ -161,9 +161,9 @@ def test_adaptations_and_scores_are_batched_too_and_on_ray(tmp_path, local_ray):
 
 def test_a_batch_of_trials_at_several_depths_is_refused():
     """Their results would be committed under the wrong identities."""
-    jobs = [EVOLVE.item(tiny(f"grid.depths=[{depth}]"), *_first_chain(depth), {}).job for depth in (1.0, 2.0)]
+    items = [EVOLVE.item(tiny(f"grid.depths=[{depth}]"), *_first_chain(depth), {}) for depth in (1.0, 2.0)]
     with pytest.raises(ValueError, match="differs in more than identities"):
-        EVOLVE.compute_batch(jobs, [{}, {}])
+        EVOLVE.compute_batch(items, [{}, {}])
 
 
 def _first_chain(depth: float):
@@ -200,15 +200,15 @@ def test_trials_are_not_batched_where_lanes_are_full_or_missing_or_environments_
 def _bad(stage: AnyStage, trial: int) -> AnyStage:
     """Return the stage with a computation that fails for one trial."""
 
-    def compute(job: Job, inputs: Inputs) -> Files:
-        if job.spec.trial.identity.index == trial:
+    def compute(item: Item, inputs: Inputs) -> Files:
+        if item.spec.trial.identity.index == trial:
             raise ArithmeticError("no such luck")
-        return stage.compute(job, inputs)
+        return stage.compute(item, inputs)
 
-    def compute_batch(jobs: Sequence[Job], inputs: Sequence[Inputs]) -> Sequence[Files]:
-        if trial in [job.spec.trial.identity.index for job in jobs]:
+    def compute_batch(items: Sequence[Item], inputs: Sequence[Inputs]) -> Sequence[Files]:
+        if trial in [item.spec.trial.identity.index for item in items]:
             raise ArithmeticError("no such luck")
-        return stage.compute_batch(jobs, inputs)
+        return stage.compute_batch(items, inputs)
 
     return dataclasses.replace(stage, compute=compute, compute_batch=compute_batch)
 

@@ -15,65 +15,51 @@ from pipeline.commands.terminal import to_stderr
 from pipeline.workflow.progress import NOTHING, Pace, StudyTimes, Work, _about, progress
 
 
-class Clock:
-    """A clock that the test moves."""
-
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def even(units: float) -> Work:
     """Return work whose units all cost the same."""
     return Work(units, cost=units)
 
 
-def pace(total: Work, found: Work = NOTHING) -> tuple[Pace, Clock]:
-    clock = Clock()
-    return Pace("evolve", "generations", total, found, clock=clock), clock
+STUDY = StudyTimes(("train", "evolve", "report"), {"train": 60.0, "evolve": 600.0, "report": 60.0})
 
 
-def test_rate_and_time_left_by_hand():
-    evolve, clock = pace(total=even(1000))
-    clock.now += 20
-    evolve.done += even(200)
-    assert evolve.rate == 10.0
-    assert evolve.seconds_left == 80.0
-    assert str(evolve) == "20%, 200/1,000 generations, 10/s, 0:01:20 left"
+@pytest.mark.parametrize(
+    ("total", "found", "done", "seconds", "text"),
+    [
+        (even(1000), NOTHING, even(200), 20, "20%, 200/1,000 generations, 10/s, 0:01:20 left"),
+        # 100 generations that cost 1.6 and 100 that cost 0.4, the expensive ones first: 104 / 1.6 s are left
+        (Work(200, 200), Work(50, 80), Work(10, 16), 10, "48%, 60/200 generations, 1/s, 0:01:05 left"),
+        # what the store had does not count toward the rate
+        (even(1000), even(800), NOTHING, 10, "80%, 800/1,000 generations, 0/s, 0:00:10 so far"),
+        (even(1000), even(800), even(50), 10, "85%, 850/1,000 generations, 5/s, 0:00:30 left"),
+        (even(50), NOTHING, even(50), 100, "100%, 50/50 generations, 0.5/s, took 0:01:40"),
+        (even(0), NOTHING, NOTHING, 1, "100%, took 0:00:01"),
+        # ten tenths add up to a rounding error less than a stage
+        (even(1), NOTHING, even(sum([0.1] * 10)), 10, "100%, 1/1 generations, 0.1/s, took 0:00:10"),
+        (even(1), NOTHING, even(1 + 1e-12), 10, "100%, 1/1 generations, 0.1/s, took 0:00:10"),
+        # less than a unit is work beside the units, such as scoring
+        (even(0.094), NOTHING, even(0.047), 2, "50%, 0:00:02 left"),
+        (even(8.094), NOTHING, even(4.094), 2, "51%, 4/8 generations, 2/s, 0:00:02 left"),
+    ],
+)
+def test_the_share_done_the_rate_and_the_time_left(total, found, done, seconds, text):
+    now = [100.0]
+    evolve = Pace("evolve", "generations", total, found, clock=lambda: now[0])
+    now[0] += seconds
+    evolve.advance(done)
+    assert str(evolve) == text
+    assert 0 <= evolve.fraction <= 1
 
 
-def test_the_time_left_follows_from_costs():
-    """Generations of one environment cost four times those of another, and the expensive ones are done first."""
-    evolve, clock = pace(total=Work(200, cost=100 * 1.6 + 100 * 0.4), found=Work(50, cost=50 * 1.6))
-    clock.now += 10
-    evolve.done += Work(10, cost=10 * 1.6)
-    assert evolve.seconds_left == pytest.approx((200 - 96) / 1.6)
-    assert str(evolve) == "48%, 60/200 generations, 1/s, 0:01:05 left"
-
-
-def test_work_done_before_does_not_count_toward_the_rate():
-    evolve, clock = pace(total=even(1000), found=even(800))
-    clock.now += 10
-    assert (evolve.rate, evolve.seconds_left, evolve.fraction) == (0.0, None, 0.8)
-    assert str(evolve) == "80%, 800/1,000 generations, 0/s, 0:00:10 so far"
-    evolve.done += even(50)
-    assert evolve.rate == 5.0
-    assert evolve.seconds_left == 30.0
-
-
-def test_a_finished_stage_shows_how_long_it_took():
-    evolve, clock = pace(total=even(50))
-    clock.now += 100
-    evolve.done = even(50)
-    assert str(evolve) == "100%, 50/50 generations, 0.5/s, took 0:01:40"
-
-
-def test_a_stage_without_work_is_done():
-    empty, clock = pace(total=even(0))
-    clock.now += 1
-    assert empty.fraction == 1.0
-    assert "took" in str(empty)
+def test_the_time_left_for_a_study_adds_the_stages_to_come():
+    now = [100.0]
+    evolve = Pace("evolve", "generations", even(100), NOTHING, STUDY, clock=lambda: now[0])
+    assert evolve.seconds_left == 600.0  # as expected
+    now[0] += 60
+    evolve.advance(even(50))
+    assert str(evolve) == "50%, 50/100 generations, 0.83/s, 0:01:00 left; study: about 2 min left"  # by its rate
+    report = Pace("report", "pictures", even(10), NOTHING, STUDY, clock=lambda: 0.0)
+    assert str(report) == "0%, 0/10 pictures, 0/s, 0:01:00 left"  # it is the last
 
 
 def test_lines_are_printed_now_and_then():
@@ -178,52 +164,6 @@ def test_on_a_terminal_a_bar_that_is_redrawn():
     assert "half way" in text
     assert "\x1b[?25l" in text and text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")  # the cursor is given back
     assert "evolve: 100%, 8/8 generations" in text
-
-
-def test_weighted_units_that_do_not_add_up_exactly_are_a_whole_stage():
-    """Ten tenths of a stage are a rounding error short of it, and still shown as 100 % with no time left."""
-    evolve, clock = pace(total=even(1.0))
-    clock.now += 10
-    for _ in range(10):
-        evolve.done += even(0.1)
-    assert evolve.done.cost != 1.0
-    assert str(evolve) == "100%, 1/1 generations, 0.1/s, took 0:00:10"
-    evolve.done = even(1.0 + 1e-12)  # and as little beyond
-    assert evolve.fraction == 1.0 and evolve.seconds_left == 0.0
-    assert "took" in str(evolve)
-    evolve.done = even(0.999)
-    assert "left" in str(evolve)
-
-
-def test_work_beside_the_units_is_not_counted_in_them():
-    """Scoring champions without adapting them is a tenth of a generation: "0.094/0.094 generations" says nothing."""
-    scoring, clock = pace(total=Work(0.094, cost=0.094))
-    clock.now += 2
-    scoring.done += Work(0.047, cost=0.047)
-    assert str(scoring) == "50%, 0:00:02 left"
-    scoring.done += Work(0.047, cost=0.047)
-    assert str(scoring) == "100%, took 0:00:02"
-
-
-def test_counts_are_whole_numbers():
-    transfer, clock = pace(total=even(8.094))
-    clock.now += 2
-    transfer.done += even(4.094)
-    assert str(transfer).startswith("51%, 4/8 generations, 2/s, ")
-
-
-STUDY = StudyTimes(("train", "evolve", "report"), {"train": 60.0, "evolve": 600.0, "report": 60.0})
-
-
-def test_the_time_left_for_a_study_adds_the_stages_to_come():
-    clock = Clock()
-    evolve = Pace("evolve", "generations", even(100), NOTHING, STUDY, clock=clock)
-    assert str(evolve) == "0%, 0/100 generations, 0/s, 0:10:00 left; study: about 11 min left"  # as expected
-    clock.now += 60
-    evolve.advance(even(50))
-    assert str(evolve) == "50%, 50/100 generations, 0.83/s, 0:01:00 left; study: about 2 min left"  # by its rate
-    report = Pace("report", "pictures", even(10), NOTHING, STUDY, clock=clock)
-    assert str(report) == "0%, 0/10 pictures, 0/s, 0:01:00 left"  # it is the last
 
 
 def test_a_line_names_the_stage_and_the_time_left_for_the_study():

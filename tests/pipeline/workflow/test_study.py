@@ -13,11 +13,11 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
-from pipeline.stages.part import PartId
 from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import StageRun, require, results_of, survey
-from pipeline.workflow.stage import AnyStage, Execution, Failure, Files, Inputs, Job
+from pipeline.workflow.identity import OutputId
+from pipeline.workflow.stage import AnyStage, Execution, Failure, Files, Inputs, Item
 
 TINY = """
 name: tiny
@@ -161,7 +161,7 @@ def test_statistics_wait_for_every_trial(serial_run):
 def test_failed_chains_stop_no_stage(serial_run):
     """What depends on them is not possible, and all else goes on."""
     store, upstream = serial_run
-    failed = {PartId("throws-0"): Failure("failed after 2 attempts")}
+    failed = {OutputId("throws-0"): Failure("failed after 2 attempts")}
     lost = dataclasses.replace(upstream["collect"], done={}, failed=failed)
     found = {"collect": lost}
     for stage in STAGES[1:]:
@@ -173,10 +173,10 @@ def test_failed_chains_stop_no_stage(serial_run):
 
 
 def _failing(compute, bad: str):
-    def fail(job: Job, inputs: Inputs) -> Files:
-        if job.spec.trial.identity.environment == bad:
+    def fail(item: Item, inputs: Inputs) -> Files:
+        if item.spec.trial.identity.environment == bad:
             raise ArithmeticError("no such luck")
-        return compute(job, inputs)
+        return compute(item, inputs)
 
     return fail
 
@@ -208,7 +208,7 @@ def test_an_item_that_fails_twice_stops_nothing_else(serial_run, tmp_path):
 
 
 def test_a_page_that_fails_is_reported_like_any_item(serial_run, tmp_path):
-    def fail(job: Job, inputs: Inputs) -> Files:
+    def fail(item: Item, inputs: Inputs) -> Files:
         raise ArithmeticError("no ink")
 
     store, upstream = serial_run
