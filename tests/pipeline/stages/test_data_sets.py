@@ -1,61 +1,33 @@
-"""Several data sets in one study: throws for robots beside the paper's, and independent replicates of both."""
+"""A study of several data sets, replicates and kinds of arms: what each is made from, and what tells them apart."""
 
 import numpy as np
 import pytest
 from small_study import labelled, run
 
 from pipeline.cluster import serial_cluster
-from pipeline.config.loading import parse
-from pipeline.config.settings import GridSettings, Settings
+from pipeline.config.settings import GridSettings, PilotSettings
 from pipeline.results import study_tables
-from pipeline.stages import STAGES
-from pipeline.stages.analyse import read_columns
+from pipeline.stages import STAGES, environments
 from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.collect import COLLECT, TRANSITIONS
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
 from pipeline.stages.environments import WEIGHTS
+from pipeline.stages.evolve import EVOLVE
+from pipeline.stages.pilot import PILOT, STATES, read_coverage
+from pipeline.stages.segments import HISTORY, trial_spec
 from pipeline.stages.train import TRAIN
-from pipeline.store.encoding import decode_table
+from pipeline.stages.transfer import SCORE, TRANSFER
+from pipeline.store.encoding import decode_json, decode_table
 from pipeline.store.store import Store
-from pipeline.workflow.identity import TrialId, trials_of
-from tasks.analysis.tables import ANALYSES
-
-SETTINGS = """
-name: sets
-replicates: 2
-throws: {n_throws: 4, n_steps: 20}
-designed_throws: {n_throws: 6}
-network: {hidden_layers: 1, width: 4}
-training: {n_iterations: 10, batch_size: 16}
-ensemble: {n_members: 2}
-grid:
-  depths: [1.0]
-  environments: [true_slush, residual_slush, designed_throws]
-  single_member_depths: [1.0]
-  n_trials: 3
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 2, afpo: {population_size: 4}}
-transfer: {n_generations: 1, adapted_environments: [designed_throws]}
-assess: {n_designs: 6}
-"""
-
-
-def settings_with(**changes):
-    return parse(Settings, SETTINGS, name="sets").model_copy(update=changes)
-
-
-@pytest.fixture(scope="module")
-def sets(tmp_path_factory):
-    store = Store.open(tmp_path_factory.mktemp("sets") / "store", create=True)
-    with serial_cluster() as cluster:
-        return store, run(settings_with(), store, cluster, STAGES[:-1])
+from pipeline.workflow.identity import TrialId, to_json, trials_of
+from tasks.residual import OBSERVATION
 
 
 def trial(environment, index):
     return TrialId("evolve", environment, 1.0, index, n_replicates=2)
 
 
-def test_trials_take_turns_over_the_replicates():
+def test_trials_take_turns_over_the_replicates(settings_with):
     settings = settings_with()
     assert networks_of(settings, trial("true_slush", 1)) == []
     for index in range(3):
@@ -64,7 +36,7 @@ def test_trials_take_turns_over_the_replicates():
         assert networks_of(settings, trial("designed_single_member", index)) == [NetworkId(own, index // 2)]
 
 
-def test_every_single_member_trial_has_a_network_of_its_own():
+def test_every_single_member_trial_has_a_network_of_its_own(settings_with):
     for replicates in (1, 2, 3):
         settings = settings_with(replicates=replicates)
         own = [networks_of(settings, of) for of in trials_of(settings, "evolve") if of.environment == "single_member"]
@@ -72,7 +44,7 @@ def test_every_single_member_trial_has_a_network_of_its_own():
         assert {network for networks in own for network in networks} <= set(network_ids(settings))
 
 
-def test_a_replicate_changes_no_identity_of_the_first():
+def test_a_replicate_changes_no_identity_of_the_first(settings_with):
     """The first replicate of a study is the study without replicates."""
     alone, both = settings_with(replicates=1), settings_with()
     specs = {chain.label: chain.spec for chain in COLLECT.plan(both)}
@@ -83,7 +55,7 @@ def test_a_replicate_changes_no_identity_of_the_first():
     assert len(same) >= 4 and all(members[chain.label] == chain.spec for chain in same)
 
 
-def test_data_sets_and_networks_all_differ(sets):
+def test_data_sets_and_networks_all_differ(sets, settings_with):
     store, upstream = sets
     assert len(data_sets(settings_with())) == 4
     networks = {store.read(done, WEIGHTS) for (done,) in upstream["train"].done.values()}
@@ -101,10 +73,9 @@ def test_data_sets_and_networks_all_differ(sets):
     assert len(first["designed_throws/throws-0"]["step"]) == 6 * 29  # as many steps as the design chooses
 
 
-def test_champions_are_compared_with_the_throws_that_their_own_networks_learned_from(sets):
-    store, upstream = sets
+def test_champions_are_compared_with_the_throws_that_their_own_networks_learned_from(sets, analysed):
     for environment in ("residual_slush", "designed_throws", "single_member", "designed_single_member"):
-        table = analysed(store, upstream, "champion_coverage", f"/{environment}/1m")
+        table = analysed(sets, "champion_coverage", f"/{environment}/1m")
         assert table["trial"].tolist() == [k for k in range(3) for _ in range(7)]
         whole = table["component"] == "all"
         of_components = table["share_outside"][~whole].reshape(3, 6).sum(axis=1)
@@ -118,9 +89,9 @@ def test_only_the_arms_that_adapt_are_adapted(sets):
     assert n_items["designed_throws"] == 2 and n_items["residual_slush"] == 1
 
 
-def test_both_ensembles_are_assessed_on_the_same_designs(sets):
+def test_both_ensembles_are_assessed_on_the_same_designs(sets, analysed):
     store, upstream = sets
-    regressions = analysed(store, upstream, "regressions")
+    regressions = analysed(sets, "regressions")
     assert set(regressions["learned_from"]) == {"throws", "designed_throws"}
     assert set(regressions["n_replicates"]) == {2}
     shares = labelled(upstream["assess"].done)
@@ -132,7 +103,7 @@ def test_both_ensembles_are_assessed_on_the_same_designs(sets):
         assert (one["true"] == other["true"]).all() and (one["predicted"] != other["predicted"]).any()
 
 
-def test_a_single_ensemble_is_named_after_its_throws(tmp_path):
+def test_a_single_ensemble_is_named_after_its_throws(tmp_path, settings_with, analysed):
     grid = {
         "depths": [1.0],
         "environments": ["true_slush", "designed_throws"],
@@ -143,22 +114,20 @@ def test_a_single_ensemble_is_named_after_its_throws(tmp_path):
     store = Store.open(tmp_path / "store", create=True)
     with serial_cluster() as cluster:
         upstream = run(settings, store, cluster, STAGES[:-1])
-    assert set(analysed(store, upstream, "regressions")["learned_from"]) == {"designed_throws"}
+    assert set(analysed((store, upstream), "regressions")["learned_from"]) == {"designed_throws"}
 
 
-def test_the_arms_are_contrasted_and_attributed(sets):
-    store, upstream = sets
-    contrasts = analysed(store, upstream, "contrasts")
+def test_the_arms_are_contrasted_and_attributed(sets, analysed):
+    contrasts = analysed(sets, "contrasts")
     pairs = set(zip(contrasts["a"].tolist(), contrasts["b"].tolist(), strict=True))
     assert ("designed_throws/zero_shot", "residual_slush/zero_shot") in pairs
-    assert "designed_throws" in analysed(store, upstream, "transfer")["environment"]
+    assert "designed_throws" in analysed(sets, "transfer")["environment"]
 
 
-def test_the_variance_is_split_where_trials_depend_on_replicates(sets):
-    """Trials 0 and 2 of the three are of the first replicate; those of True Slush depend on none."""
-    store, upstream = sets
-    scores, split = (analysed(store, upstream, name) for name in ("scores", "variance"))
-    learned = scores["environment"] != "true_slush"
+def test_the_variance_is_split_where_trials_depend_on_replicates(sets, analysed):
+    """Trials 0 and 2 of the three are of the first replicate; those without networks depend on none."""
+    scores, split = (analysed(sets, name) for name in ("scores", "variance"))
+    learned = ~np.isin(scores["environment"], ["true_slush", "randomised_slush"])
     assert (scores["replicate"] == np.where(learned, scores["trial"] % 2, 0)).all()
     rows = {
         (arm, quantity): at
@@ -179,7 +148,7 @@ def test_the_variance_is_split_where_trials_depend_on_replicates(sets):
     assert split["sd_between"][at] ** 2 == pytest.approx(0 if pooled else (between - within) / (4 / 3))
 
 
-def test_tables_name_the_data_set(sets):
+def test_tables_name_the_data_set(sets, settings_with):
     store, upstream = sets
     tables = study_tables.parts_of("learning_curves", upstream["train"], store, only={})
     assert {name for table in tables for name in table["data_set"].to_pylist()} == {
@@ -187,6 +156,99 @@ def test_tables_name_the_data_set(sets):
     }
 
 
-def analysed(store, upstream, table, of=""):
-    (done,) = labelled(upstream["analyse"].done)[table + of]
-    return read_columns({f"{table}.parquet": store.read(done, f"{table}.parquet")}, ANALYSES[table])
+# -- arms beside those of the paper ----------------------------------------------------------------------------------
+
+
+def scores_of(sets, environment):
+    store, upstream = sets
+    found = {trial: parts[-1] for trial, parts in upstream["transfer"].done.items() if trial.environment == environment}
+    return [decode_json(store.read(scored, SCORE), trial.label) for trial, scored in found.items()]
+
+
+def test_champions_of_ensembles_are_scored_with_the_sample_s_deviation(sets, analysed):
+    """Of an ensemble's networks, or of the members of domain randomisation; their weight is 0.5."""
+    for environment in ("residual_slush", "designed_throws", "randomised_slush"):
+        for scores in scores_of(sets, environment):
+            assert scores["predicted_sd"] > 0 and scores["predicted"] != scores["zero_shot"]
+            assert scores["fitness"] == pytest.approx(scores["predicted"] - 0.5 * scores["predicted_sd"])
+    ranked = analysed(sets, "exploiters")
+    mine = ranked["environment"] == "residual_slush"
+    expected = sorted(scores["predicted_sd"] for scores in scores_of(sets, "residual_slush"))
+    assert sorted(ranked["disagreement"][mine]) == pytest.approx(expected)
+
+
+def test_champions_of_single_members_repeat_their_scores_in_their_own_networks(sets, analysed):
+    scores = scores_of(sets, "single_member")
+    assert all(score["predicted"] == score["fitness"] and score["predicted_sd"] is None for score in scores)
+    rows = analysed(sets, "scores")
+    own = rows["environment"] == "single_member"
+    assert rows["predicted"][own].tolist() == [score["predicted"] for score in scores]
+
+
+def test_trials_of_domain_randomisation_share_the_members_of_the_study_s_seed(settings_with):
+    settings = settings_with(seed=4)
+    trials = [trial for trial in trials_of(settings, "evolve") if trial.environment == "randomised_slush"]
+    built = [trial_spec(settings, trial, trial.environment).at_home({}) for trial in trials]
+    media = {"randomised_slush": settings.randomised_slush.of_study(4)}
+    expected = environments.build_environment(media, "randomised_slush", 1.0, {})
+    assert len(built) == 3 and all(one.components == expected.components for one in built)
+    assert environments.relative_cost(settings, "randomised_slush") == 3
+
+
+def test_fitness_is_the_mean_over_members_less_their_disagreement(sets):
+    store, upstream = sets
+    n_members = {"true_slush": 1, "single_member": 1, "residual_slush": 2, "randomised_slush": 3}
+    for trial, segments in upstream["evolve"].done.items():
+        history = decode_table(store.read(segments[0], HISTORY), schema="history", version=1, source=HISTORY)
+        by_member = history["displacement"]
+        assert by_member.shape[1] == n_members.get(trial.environment, by_member.shape[1])
+        deviation = by_member.std(axis=1, ddof=1) if by_member.shape[1] > 1 else 0.0
+        np.testing.assert_allclose(history["fitness"], by_member.mean(axis=1) - 0.5 * deviation, rtol=1e-12)
+
+
+def test_what_is_not_chosen_is_in_no_key(settings_with):
+    def written(stage, settings):
+        return str([to_json(chain.spec) for chain in stage.plan(settings)])
+
+    chosen = settings_with()
+    usual = settings_with(ensemble=chosen.ensemble.model_copy(update={"deviation": "population"}))
+    assert "'deviation'" in written(EVOLVE, chosen)
+    for name in ("deviation", "range_of_motion", "changed_genes", "parent_selection"):
+        assert f"'{name}'" not in written(EVOLVE, usual) + written(TRANSFER, usual)
+
+
+# -- pilots ----------------------------------------------------------------------------------------------------------
+
+
+def piloted(sets, group):
+    store, upstream = sets
+    (done,) = upstream["pilot"].done[DataSetId(group, 0)]
+    return {name: store.read(done, name) for name in done.files}
+
+
+def test_pilots_run_before_evolution_and_read_no_true_slush(settings_with):
+    names = [stage.name for stage in STAGES]
+    assert names.index("train") < names.index("pilot") < names.index("evolve")
+    assert PILOT.reads(settings_with()) == ("collect", "train")
+    assert all("slush" not in chain.spec.simulation.media for chain in PILOT.plan(settings_with()))
+
+
+def test_every_data_set_is_checked_with_both_kinds_of_pilots(sets):
+    for group in ("throws", "designed_throws"):
+        files = piloted(sets, group)
+        found = read_coverage(files)
+        assert list(found) == ["dry_land", "residual_slush"]
+        states = decode_table(files[STATES], schema="states", version=1, source=STATES)
+        assert states["observation"].shape[1] == 6 and np.isfinite(states["observation"]).all()
+        for name, rows in found.items():
+            assert [row.component for row in rows] == ["all", *OBSERVATION]
+            assert sum(row.share_outside for row in rows[1:]) == pytest.approx(rows[0].share_outside)
+            assert {row.n for row in rows} == {int((states["seen_in"] == name).sum())}
+
+
+@pytest.mark.parametrize("most_outside", [0.0, 1.0])
+def test_a_pilot_warns_where_too_much_is_outside(most_outside, sets, settings_with):
+    store, upstream = sets
+    summary = PILOT.summarise(settings_with(pilot=PilotSettings(most_outside=most_outside)), upstream["pilot"], store)
+    assert any(line.startswith("warning: throws: ") for line in summary.lines) == (most_outside == 0.0)
+    assert "share_outside.designed_throws.residual_slush" in summary.metrics

@@ -2,7 +2,6 @@
 
 import json
 
-import duckdb
 import numpy as np
 import polars
 import pyarrow.parquet
@@ -74,8 +73,6 @@ def test_histories_hold_every_design_and_other_readers_read_them(settings, study
             path = tmp_path / f"{index}.parquet"
             path.write_bytes(store.read(segment, "history.parquet"))
             frame = polars.read_parquet(path)
-            counted = duckdb.sql(f"select count(*), max(fitness) from '{path}'").fetchall()
-            assert counted == [(len(frame), frame["fitness"].max())]
             rows.append(frame)
         history = polars.concat(rows)
         n_generations, n_designs = settings.evolution.n_generations, settings.evolution.afpo.population_size

@@ -71,19 +71,6 @@ def test_ray_gives_the_same_bytes_as_one_process(serial_run, local_ray, tmp_path
     assert digests(other) == {k: v for k, v in digests(upstream).items() if not k.startswith("report/")}
 
 
-def test_batches_of_designs_on_ray_give_the_same_bytes(serial_run, local_ray, tmp_path):
-    """In one environment, because each trial has a worker that waits for its batches."""
-    before, upstream = serial_run
-    settings = tiny("work.designs_per_batch=3", "grid.environments=[residual_slush]", "grid.single_member_depths=[]")
-    shutil.copytree(before.root, tmp_path / "store")
-    store = Store.open(tmp_path / "store", create=False)
-    for key in list(store.keys("evolve")):  # what is computed in batches has the same identity
-        store.discard("evolve", key)
-    batched = run(settings, store, local_ray, STAGES[:4])
-    assert digests(batched) == {k: v for k, v in digests(upstream).items() if k in digests(batched)}
-    assert list(labelled(batched["evolve"].done)) == ["residual_slush/1m/trial-0"]
-
-
 def test_the_training_device_is_part_of_a_members_identity(serial_run):
     """On a GPU the last bits differ, so the members differ too; its tasks ask for a GPU."""
     _, upstream = serial_run
