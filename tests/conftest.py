@@ -85,7 +85,7 @@ LONGEST_FIRST = (
     "architecture/test_wheel.py",
     "fabrication/test_findings.py",
     "networks/test_coupled.py",
-    "tasks/test_compiled.py",
+    "pipeline/test_kernels.py",
     "cluster/test_session.py",
     "fabrication/test_servos.py",
     "report/test_films.py",
