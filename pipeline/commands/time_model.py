@@ -166,7 +166,8 @@ def _workers_per_generation(settings: Settings, chain: Chain[Any]) -> int:
 
 def _expected(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
     fixed = _SECONDS_PER_ITEM.get(stage.name, _SECONDS_PER_OTHER_ITEM)
-    return len(units) * fixed + sum(units) * _PER_UNIT[stage.name](settings, chain)
+    per_unit = _PER_UNIT.get(stage.name)  # that of a new stage is not known before the store has an item of it
+    return len(units) * fixed + sum(units) * (per_unit(settings, chain) if per_unit else 1.0)
 
 
 def _expected_bytes(stage: AnyStage, settings: Settings, units: tuple[float, ...]) -> float:
