@@ -32,6 +32,7 @@ def render_run(comparison: RunComparison, run: str) -> str:
         verdict=verdict(comparison),
         figures=[finish(name, title, partial(draw, comparison)) for name, title, draw in drawn],
         rows=rows,
+        predicted=_predicted(comparison),
         seconds=comparison.measured.time[-1] - comparison.measured.time[0],
         note=note_on(comparison),
         svg=inline_svg,
