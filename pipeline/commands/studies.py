@@ -126,7 +126,7 @@ def compare(
 
     Each arm is compared with the same arm at every depth: the difference A - B, its interval, and a verdict.
     """
-    from pipeline.report.comparison_page import SUFFIXES, written_comparison
+    from pipeline.report.comparison_page import SAID_ABOVE, SUFFIXES, written_comparison
     from pipeline.report.render import as_text
     from pipeline.results.comparisons import compare_arms, compare_studies
     from pipeline.store import disk
@@ -144,7 +144,7 @@ def compare(
         compared = compare_studies(first, _opened(str(b), store_b or store))
     to_stdout(f"A: {compared.a}; B: {compared.b}, the reference")
     to_stdout(*(f"  {name}: {of_a} → {of_b}" for name, of_a, of_b in compared.changes))
-    to_stdout(compared.caution, *as_text(Comparison, compared.rows, compared.without, width=_LINE_LENGTH))
+    to_stdout(compared.caution, *as_text(Comparison, compared.rows, SAID_ABOVE, width=_LINE_LENGTH))
     counts = Counter(row.verdict for row in compared.rows)
     listed = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
     to_stdout(

@@ -8,6 +8,7 @@ from pipeline.report.render import WRITERS, as_html
 from tasks.analysis.comparison import Comparison
 
 SUFFIXES = (".html", *WRITERS)
+SAID_ABOVE = ("b",)  # column that a heading makes superfluous: B is the same study or arm in every row
 
 
 @dataclass(frozen=True)
@@ -20,13 +21,12 @@ class Compared:
     changes: Sequence[tuple[str, str, str]]  # settings that differ: name, value in A, value in B
     rows: Sequence[Comparison]
     caution: str = ""
-    without: tuple[str, ...] = ()  # columns that say nothing new
 
 
 def written_comparison(compared: Compared, suffix: str) -> str:
     """Return the content of a file that ends in one of SUFFIXES."""
     if suffix in WRITERS:
         return WRITERS[suffix](Comparison, compared.rows, compared.title)
-    table = as_html(Comparison, compared.rows, "Differences between A and B", without=compared.without)
+    table = as_html(Comparison, compared.rows, "Differences between A and B", without=SAID_ABOVE)
     body = TEMPLATES.get_template("comparison.html").render(compared=compared, table=table)
     return document(title=compared.title, policy="script-src 'none'", body=body)

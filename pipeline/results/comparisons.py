@@ -54,4 +54,4 @@ def compare_studies(a: Study, b: Study) -> Compared:
     caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
     same = a.store.root == b.store.root
     side_a, side_b = (f"study {one.name}{'' if same else f', in {one.store.root}'}" for one in (a, b))
-    return Compared(f"{a.name} against {b.name}", side_a, side_b, changes, rows, caution, without=("b",))
+    return Compared(f"{a.name} against {b.name}", side_a, side_b, changes, rows, caution)

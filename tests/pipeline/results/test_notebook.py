@@ -67,9 +67,3 @@ def test_it_was_run_from_top_to_bottom_without_errors_and_shows_a_figure(noteboo
     assert not any(output.get("name") == "stderr" for output in outputs)
     table, simulated = re.search(r"trial \d+: (\S+) m in the table, (\S+) m simulated", json.dumps(outputs)).groups()
     assert table == simulated
-
-
-def test_it_is_a_notebook_of_version_4_5(notebook):
-    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
-    ids = [cell["id"] for cell in notebook["cells"]]
-    assert len(set(ids)) == len(ids) and all(re.fullmatch(r"[a-zA-Z0-9-_]{1,64}", one) for one in ids)

@@ -90,15 +90,6 @@ def test_aggregates_of_a_worked_example():
     assert found["mean"][0] == 4.0 and found["mean - 1 sd"][0] == pytest.approx(4 - math.sqrt(14))
 
 
-def test_averaging_over_members_leaves_less_noise():
-    """An eighth of the noise's variance: R² = 2.25 / (2.25 + 4/8), not 2.25 / 6.25."""
-    draw = np.random.default_rng(2)
-    true = draw.normal(5, 3, 200)
-    rows = {row.name: row for row in assess(0.5 * true + draw.normal(0, 2, (8, 200)), true).regressions}
-    assert rows["member 0"].r.value == pytest.approx(0.6, abs=4 * (1 - 0.36) / math.sqrt(200))
-    assert rows["mean"].r.value == pytest.approx(math.sqrt(2.25 / 2.75), abs=4 * (1 - 0.82) / math.sqrt(200))
-
-
 def test_the_ends_of_a_range_are_the_members_that_are_there():
     """Three members so far apart that the order is the same in every resample: each end is that member's figure."""
     draw = np.random.default_rng(8)
