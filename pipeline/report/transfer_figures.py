@@ -107,7 +107,7 @@ def transfer_across_depths(rows: Sequence[TransferRow]) -> Figure:
     figure.supylabel("displacement in True Slush [m]")
     styles = [ENVIRONMENTS[name] for name in present]
     handles = [Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label) for style in styles]
-    legend(figure, handles, n_columns=3 if len(handles) <= 6 else 2)
+    legend(figure, handles, n_columns=3 if len(handles) <= 6 else 2, above=True)  # below it would hide the label
     return figure
 
 
