@@ -6,7 +6,7 @@
     settings.yaml                   the study's settings, for `puddle study --settings`
     champions/ARM-trial-N.json      a design file for each champion; ARM-trial-N-adapted.json: with adapted controller
     tables/NAME.parquet or .csv     as study.tables names them
-    tables/columns.csv              type, unit and meaning of every column
+    tables/columns.csv              what every table holds, and type, unit and meaning of its columns
     figures/NAME.svg, .png, .pdf    five inches wide
     figures/captions.txt            what each figure shows
     transfer.tex                    the transfer results
@@ -34,6 +34,7 @@ from pipeline.report.page import draw_all
 from pipeline.report.render import as_latex
 from pipeline.results.recorded_study import Study
 from pipeline.results.results_json import results_of
+from pipeline.results.study_tables import about
 from pipeline.stages.report import REPORT, read_page
 from pipeline.stages.transfer import ADAPTED, CHAMPION
 from pipeline.store import disk
@@ -45,6 +46,8 @@ from tasks.analysis.tables.transfer import TransferRow
 
 EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 
+LARGE_TABLES = ("histories", "adaptations")  # of every design that ever lived; gigabytes in a large study
+_CSV_PER_PARQUET = 5  # bytes, about
 _ROWS_PER_GROUP = 100_000  # of a Parquet file, which is written trial by trial
 
 
@@ -62,7 +65,7 @@ def export_study(
         study: the study.
         out: the folder: a new one, an empty one, or an earlier export, which is replaced.
         kind: format of the tables.
-        tables: names of the tables to write; all of the study's if there are none.
+        tables: names of the tables to write; if there are none, all of the study's but ``LARGE_TABLES``.
         say: shows what is being written.
 
     Returns:
@@ -77,7 +80,7 @@ def export_study(
         raise PuddleError(f"{out}: expected a folder outside the store {study.store.root}. Choose another with --out.")
     if not study.tables:
         raise PuddleError(f"study {study.name}: none of its work is done yet, so there is nothing to export")
-    chosen = list(dict.fromkeys(tables or study.tables))
+    chosen = list(dict.fromkeys(tables or (name for name in study.tables if name not in LARGE_TABLES)))
     if unknown := [name for name in chosen if name not in study.tables]:
         raise PuddleError(
             f"study {study.name} has no table {', '.join(unknown)}. Expected --table to be one of "
@@ -94,7 +97,8 @@ def export_study(
         rows = page.rows("transfer")
         folder.write("transfer.tex", as_latex(TransferRow, rows, f"Transfer results of study {study.name}.").encode())
         n_champions = _write_champions(study, folder)
-        say(f"writing {len(chosen)} tables")
+        n_bytes = sum(map(study.table_bytes, chosen)) * (_CSV_PER_PARQUET if kind == "csv" else 1)
+        say(f"writing {len(chosen)} tables, at most about {n_bytes / 1e6:,.1f} MB")
         n_rows = _write_tables(study, chosen, folder, kind)
         say("drawing figures")
         drawings = draw_all(page, for_print=True)
@@ -130,7 +134,7 @@ def _write_champions(study: Study, folder: NewFolder) -> int:
 
 
 def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: str) -> int:
-    """Write tables, and the list of their columns; return the number of rows."""
+    """Write tables, and the list of what they and their columns hold; return the number of rows."""
     n_rows = 0
     sheet = io.StringIO()
     columns = csv.writer(sheet, lineterminator="\n")
@@ -140,6 +144,7 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: 
         path = folder.place(f"tables/{name}.{kind}")
         schema, n_of_table = write(path, partial(study.parts, name))
         disk.fsync(path)
+        columns.writerow((name, "", "", "", about(name)))
         for one in schema:
             unit, meaning, label = (one.metadata.get(word, b"").decode() for word in (b"unit", b"meaning", b"label"))
             columns.writerow((name, one.name, one.type, unit, meaning or label))

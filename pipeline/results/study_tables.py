@@ -60,6 +60,20 @@ SOURCES: Mapping[str, TableSource] = {
 }
 """Tables by name."""
 
+_ABOUT = {
+    "champions": "The best design of each trial, with its predicted, zero-shot and adapted displacement.",
+    "histories": "Every design that lived in an evolution: its genes, parents, fitness and displacement.",
+    "fitness_curves": "Best fitness in each generation of every trial.",
+    "adaptations": "Every controller that lived in an adaptation of a champion in True Slush.",
+    "adaptation_curves": "Best fitness in each generation of every adaptation.",
+    "predictions": "Designs of all generations: the networks' prediction of each, and its true displacement.",
+    "transitions": "What the throws taught: states of bars, and what the base simulator gets wrong there.",
+    "learning_curves": "Loss of every network over its training.",
+    "validation_errors": "Errors of every network on throws that it did not learn from.",
+    "coverage": "How much of what robots do lies outside of the throws.",
+    "pilot_states": "States of the links of pilot robots, by which the coverage is measured.",
+}
+
 KEYS: Mapping[str, pa.DataType] = {"environment": pa.string(), "depth": pa.float64(), "trial": pa.int64()}
 """Columns that every table has."""
 
@@ -69,6 +83,11 @@ _UNITS = {"environment": "", "depth": "m", "trial": "", "operator": ""}
 def available(upstream: Upstream) -> list[str]:
     """Return the names of the tables that have rows in the store."""
     return [name for name, source in SOURCES.items() if source.files(upstream[source.stage])]
+
+
+def about(name: str) -> str:
+    """Say in a sentence what a table holds."""
+    return _ABOUT[name] if name in _ABOUT else (ANALYSES[name].row.__doc__ or "").splitlines()[0]
 
 
 def parts_of(name: str, results: Results, store: Store, *, only: Mapping[str, Any]) -> Iterator[pa.Table]:

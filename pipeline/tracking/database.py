@@ -87,7 +87,7 @@ def experiment_id(client: Any) -> str | None:
 def explained(error: Exception, store: Path, uri: str | None) -> str:
     """Say in a sentence why MLflow fails, and what to do."""
     place = uri or str(store / "mlflow.db")
-    reason = (str(error) or type(error).__name__).splitlines()[0]
+    reason = (str(error) or type(error).__name__).splitlines()[0].partition(". ")[0]
     if "schema" in reason or "revision" in reason:
         reason = "it was made by another version of MLflow"
     advice = "; delete it, and `puddle study` rebuilds it from the store" if uri is None else ""

@@ -79,6 +79,8 @@ def simulate(
             raise ValueError(f"{name} is {value}, expected at least {least}")
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
+    if not isinstance(environment, Environment):
+        raise TypeError(f"environment: expected one, such as TrueSlush(depth=9.0), got {environment!r}")
     physics = physics or Physics()
     motions = [
         ENGINES[engine](

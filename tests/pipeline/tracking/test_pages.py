@@ -134,7 +134,7 @@ def test_a_live_trial_is_seen_to_grow(store: Store, browser: Browser, monkeypatc
     with live_study(store, monkeypatch) as go_on:
         (trial,) = wait_for(lambda: trials(store), "the trial never appeared")
         assert trial.info.status == "RUNNING" and not (store.root / "studies/tiny/report").exists()
-        with pages(store.root, "--study", "tiny") as (server, address):
+        with pages(store.root, "tiny") as (server, address):
             assert address.endswith("runs?workflowType=machine_learning&searchFilter=tags.study%20%3D%20%27tiny%27")
             browser.visit(address, width=1400)
             browser.until("document.body.innerText.includes('tiny')")
@@ -158,8 +158,10 @@ def test_a_live_trial_is_seen_to_grow(store: Store, browser: Browser, monkeypatc
 
 
 def test_the_runs_page_is_that_of_model_training():
-    assert runs_page("http://h:1", None) == "http://h:1/#/experiments?workflowType=machine_learning"
-    assert runs_page("http://h:1", "7") == "http://h:1/#/experiments/7/runs?workflowType=machine_learning"
+    page = "http://h:1/#/experiments{}?workflowType=machine_learning&searchFilter={}"
+    studies = "tags.%60puddle.kind%60%20%3D%20%27study%27"
+    assert runs_page("http://h:1", None) == page.format("", studies)
+    assert runs_page("http://h:1", "7") == page.format("/7/runs", studies)
 
 
 def test_the_ui_says_what_it_lacks(tmp_path):
