@@ -1,9 +1,13 @@
 """Findings about the bench for numbers chosen by hand."""
 
+import numpy as np
 import pytest
+import shapely
 
-from pipeline.fabrication.bench import check_floating, check_loads, check_predictions
-from tasks.fabrication.kit import Floating
+from pipeline.fabrication.bench import bench_of, check_floating, check_loads, check_predictions
+from pipeline.fabrication.source import DesignSource
+from tasks.fabrication.kit import Floating, build_kit, floating_of
+from tasks.fabrication.kit_settings import FabricationSettings, KitSettings
 from tasks.fabrication.scaling import JointLoad
 from tasks.fabrication.servos import SERVOS
 
@@ -48,6 +52,21 @@ def test_loads(load, severity, said):
 def test_floating(draught, sealed, flooded, said):
     found = list(check_floating(Floating(1.0, 2e-3, sealed, flooded, draught, 400.0), 150.0))
     assert len(found) == (said is not None) and all(said in message for message in found)
+
+
+def test_the_run_and_the_floating_of_a_kit(crane, settings):
+    kit = build_kit(crane, KitSettings())
+    source = DesignSource(crane, "crane", "", settings, 1.0, None)
+    physics = settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
+    run = bench_of(source, kit, FabricationSettings(), physics).simulated
+    angle = run.pose[..., 2]
+    turned = np.diff(angle[:, [2, 4]] - angle[:, [0, 1]], axis=0) / physics.time_step  # of children on their parents
+    assert np.median(np.abs(turned - run.speed[1:])) < 0.01 * np.abs(run.speed).max()  # but for the positions' solver
+    floats = floating_of(kit, fluid_density=1000.0)
+    bottom = min(outline.bounds[1] for outline in kit.outlines)
+    under = shapely.box(-1e3, bottom, 1e3, bottom + floats.draught_mm)
+    area = sum(outline.intersection(under).area for outline in kit.outlines)
+    assert 2 * 25.0 * area == pytest.approx(1000 * kit.mass_g, rel=1e-6)  # of two pontoons in water, Archimedes
 
 
 @pytest.mark.parametrize(

@@ -106,16 +106,6 @@ def test_invalid_timelines_are_refused(tmp_path, change, said):
     assert str(path) in str(refusal.value) and said in str(refusal.value)
 
 
-def test_missing_and_damaged_files_are_refused(tmp_path):
-    with pytest.raises(PuddleError, match=r"none\.json: can't read the timeline"):
-        read_timeline(tmp_path / "none.json")
-    (tmp_path / "bad.json").write_text('{"angle": [NaN]}')
-    with pytest.raises(PuddleError, match=r"bad\.json"):
-        read_timeline(tmp_path / "bad.json")
-    with pytest.raises(PuddleError, match=r"none\.yaml"):
-        read_calibration(tmp_path / "none.yaml")
-
-
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failing_disk_or_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, failure):
     folder = tmp_path / "kit"

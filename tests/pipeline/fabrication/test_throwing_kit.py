@@ -71,20 +71,6 @@ def test_printed_tags_have_the_size_that_the_markers_file_says(kit, sheet):
         assert (down - up) / per_mm == pytest.approx((0, 1000 * (bar.tags[0].along - bar.tags[1].along)), abs=0.1)
 
 
-def test_the_board_is_found_on_its_sheet(kit):
-    import cv2
-
-    from pipeline.vision.tags import charuco_board
-
-    markers = load(Markers, kit / "markers.yaml")
-    detector = cv2.aruco.CharucoDetector(charuco_board(markers.board, markers.dictionary))
-    corners, numbers, _, _ = detector.detectBoard(np.array(Image.open(kit / "board.png").convert("L")))
-    assert len(numbers) == 6 * 4
-    per_mm = 300 / 25.4
-    along = np.linalg.norm(corners[numbers.ravel() == 1] - corners[numbers.ravel() == 0]) / per_mm
-    assert along == pytest.approx(36.0, abs=0.1)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -98,13 +84,3 @@ def test_a_mistake_is_one_message_and_no_kit(tmp_path, options, message, capsys)
     assert call("fabricate", "--throwing-kit", "--out", str(tmp_path / "kit"), *options) == 2
     said = capsys.readouterr().err
     assert message in said and not (tmp_path / "kit").exists()
-
-
-@pytest.mark.parametrize("width", [1200, 390])
-def test_the_page_in_a_browser(kit, browser, width):
-    browser.open(kit / "index.html", width=width)
-    assert browser.evaluate("document.documentElement.scrollWidth") <= width
-    assert browser.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 100)")
-    hidden = browser.evaluate("[...document.querySelectorAll('.scroll')].map((t) => t.scrollWidth - t.clientWidth)")
-    assert max(hidden) <= 0
-    assert not browser.named("Log.entryAdded")

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from varied_designs import BODY, NO_REWIRING, binomial_interval, is_canonical, mutations, numbers, seeds
 
-from tasks.design import DesignError, Designs, Morphology, Mutation, check, crossover, mutate, random_designs
+from tasks.design import DesignError, Designs, Morphology, Mutation, check, crossover, mutate, random_designs, variation
 from tasks.design.genes import N_GENES
-from tasks.design.variation import MAX_DRAWS
+from tasks.design.variation import MAX_DRAWS, Sampler, variation_of
 
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
@@ -104,3 +104,17 @@ def test_a_joint_that_both_parents_actuate_is_actuated_in_their_child() -> None:
     lone = one.motor_on ^ other.motor_on
     low, high = binomial_interval(int((child.motor_on & lone).sum()), 0.5)
     assert low <= (child.motor_on & lone & one.motor_on).sum() <= high
+
+
+def test_a_child_that_no_draw_allows_has_the_body_of_one_and_the_controller_of_the_other(
+    buildable, monkeypatch
+) -> None:
+    monkeypatch.setattr(variation, "MAX_RECOMBINATIONS", 1)
+    one, other = buildable[:24], buildable[24:]
+    sampler = Sampler(np.random.default_rng(31), variation_of(BUILDABLE), BUILDABLE)
+    drawn = sampler.recombinations((one.table, other.table))
+    fallen_back = drawn.n_draws > 1
+    assert fallen_back.any()
+    for name, array in drawn.designs[fallen_back].arrays():
+        donor = one if name in (*BODY, "motor_on") else other
+        np.testing.assert_array_equal(array, getattr(donor[fallen_back], name), err_msg=name)

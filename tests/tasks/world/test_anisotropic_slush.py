@@ -35,6 +35,15 @@ def test_drag_along_and_across_the_long_axis() -> None:
     np.testing.assert_allclose(change.vy, [lift, along + lift], atol=1e-12)
 
 
+def test_drag_turns_with_the_link() -> None:
+    """A tilted link that moves as an upright one, all turned by its angle, loses as much along and across itself."""
+    medium, air, turn = AnisotropicSlush(), Physics(gravity=0.0), 0.4
+    upright, c, s = medium.velocity_change(submerged(0.0, 2.0, -1.0), air), np.cos(turn), np.sin(turn)
+    tilted = medium.velocity_change(submerged(turn, 2 * c + s, 2 * s - c), air)
+    np.testing.assert_allclose(tilted.vx, c * upright.vx - s * upright.vy, atol=1e-12)
+    np.testing.assert_allclose(tilted.vy, s * upright.vx + c * upright.vy, atol=1e-12)
+
+
 @pytest.mark.parametrize("angle", [0.4, -0.4])
 def test_a_tilted_plate_that_sinks_is_pushed_to_the_side_of_its_lower_end(angle: float) -> None:
     heavy = Physics(link_density=3.0)
