@@ -107,28 +107,3 @@ def test_unjoined_links_do_not_pass_through_each_other(collisions: bool) -> None
         assert deepest < SKINS + 0.05  # they did collide
     else:
         assert deepest < -0.3  # link 0 is a third of a metre thick, so link 2 passed through
-
-
-def test_joined_links_do_not_collide() -> None:
-    # In a chain whose links overlap by a fifth of a metre or more at every joint, and which its motors bend gently,
-    # only joined links overlap. If they collided, the chain would burst apart.
-    design = random_designs(4, np.random.default_rng(54))
-    design = replace(
-        design,
-        parent=np.tile(np.arange(-1, 5), (4, 1)),
-        length_scale=np.full((4, 6), 2.0),
-        parent_attachment=np.full((4, 6), 0.8),
-        child_attachment=np.full((4, 6), -0.8),
-        rest_angle=np.zeros((4, 6)),
-        motion_range=np.full((4, 6), 0.2),
-        motor_on=np.array([[False, *on] for on in np.eye(5, dtype=bool)[:4]]),
-    )
-    for passive in ("swing", "locked"):
-        with_, without = (
-            trace_of(design, DryLand(100.0), 200, Physics(gravity=0.0, passive_joints=passive, link_collisions=on))
-            for on in (True, False)
-        )
-        assert np.nanmax(gaps(design, without, joined=True)) < -0.05  # they overlap all the time
-        assert np.nanmin(gaps(design, without, joined=False)) > SKINS
-        np.testing.assert_array_equal(with_, without)
-        assert np.ptp(with_[..., ANGLE], axis=1).max() > 0.1  # they do move

@@ -33,23 +33,6 @@ def corners(
     return np.einsum("...ij,...kj->...ki", rotation, local) + np.stack([x, y], axis=-1)[..., None, :]
 
 
-def test_the_anchors_of_every_joint_coincide_at_rest(designs: Designs) -> None:
-    x, y, angle = rest_pose(designs)
-    for link in range(1, 6):
-        parent = designs.parent[:, link]
-        row = np.arange(N_DESIGNS)
-        on_parent = along(
-            x[row, parent],
-            y[row, parent],
-            angle[row, parent],
-            designs.parent_attachment[:, link] * designs.length_scale[row, parent] / 2,
-        )
-        anchor = designs.child_attachment[:, link] * designs.length_scale[:, link] / 2
-        on_child = along(x[:, link], y[:, link], angle[:, link], anchor)
-        # Six links of 3 m reach at most 18 m; a handful of roundings of float64 each.
-        np.testing.assert_allclose(on_parent, on_child, rtol=0, atol=18 * 2.0**-50)
-
-
 def test_the_root_is_upright_at_the_origin_of_x_and_the_lowest_corner_at_zero(designs: Designs) -> None:
     trees = kinematic_trees(designs, density=1.0)
     assert (trees.x[:, 0] == 0).all()
@@ -93,19 +76,6 @@ def random_motors(designs: Designs, rng: np.random.Generator, n_actuated: int) -
     for row in on:
         row[rng.choice(np.arange(1, 6), n_actuated, replace=False)] = True
     return replace(designs, motor_on=on)
-
-
-def test_links_that_swing_are_bodies_of_their_own(designs: Designs) -> None:
-    for rigid in (
-        rigid_bodies(designs, passive_joints="swing"),
-        rigid_bodies(replace(designs, motor_on=np.ones_like(designs.motor_on)), passive_joints="locked"),
-    ):
-        assert rigid.is_first.all()
-        for name in ("x", "y", "angle", "sin", "lever_x", "lever_y", "joint_x"):
-            assert not getattr(rigid, name).any(), name
-        for name in ("cos", "mass_share", "inertia_share"):  # exactly: shares of 1 leave every bit as it is
-            assert (getattr(rigid, name) == 1).all(), name
-        np.testing.assert_array_equal(rigid.joint_y, kinematic_trees(designs, density=1.0).parent_anchor)
 
 
 @pytest.mark.parametrize("n_actuated", range(6))

@@ -44,22 +44,6 @@ def new(training, dropout=0.0, seed=1, weighted=False):
     ), weights
 
 
-@pytest.mark.parametrize("loss", ["mse", "focal"])
-@pytest.mark.parametrize("weighted", [False, True])
-def test_an_iteration_follows_the_gradient_of_the_mean_loss(loss, weighted):
-    """AdamW's first step from a gradient g is rate · (g / (|g| + ε) + decay · θ): with a decay of 0, its sign."""
-    training = Training(loss=loss, batch_size=64, weight_decay=0.0, warm_up=0.0, learning_rate=1e-3)
-    descent, weights = new(training, weighted=weighted)
-    batch = rows_of(64, weighted=weighted, seed=9)
-    expected_loss, gradient = gradient_by_torch(weights, batch, training)
-    assert descent.step(torch.from_numpy(batch)) == pytest.approx(expected_loss, rel=1e-5)
-    for name, after in descent.weights().items():
-        large = np.abs(gradient[name]) > 1e-5
-        assert large.mean() > 0.5
-        step = (weights[name] - after)[large]
-        assert step == pytest.approx(1e-3 * np.sign(gradient[name][large]), rel=2e-3)
-
-
 def test_focal_loss_by_hand():
     predicted = torch.tensor([[0.0] * 6, [0.3, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 2.0]])
     true = torch.zeros(3, 6)

@@ -16,9 +16,3 @@ def test_whole_throws_are_held_out():
 def test_at_least_one_throw_is_held_out_and_not_all(share):
     learned, validated = split_throws(np.array([3, 9]), share, seed=0)
     assert learned.sum() == validated.sum() == 1
-
-
-def test_one_throw_cannot_be_split():
-    with pytest.raises(ValueError, match="of 1 throws, expected at least 2"):
-        split_throws(np.array([3, 3]), 0.1, seed=0)
-    assert all(mask.all() for mask in split_throws(np.array([3, 3]), 0.0, seed=0))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tasks.tracks import smoother
 from tasks.tracks.smoother import Measured, smooth
 
 
@@ -57,26 +56,6 @@ def test_deviations_cover_the_errors() -> None:
     of_change = (change / np.sqrt(P[:, 1:] + P[:, :-1] - 2 * C)).std()
     of_velocity = ((found.mean[..., 1] - velocity) / np.sqrt(P)).std()
     assert 0.7 < of_change < 1.1 and 0.7 < of_velocity < 1.1  # heavy tails make it a little too careful
-
-
-def test_a_jump_of_the_acceleration_does_not_blur_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Free fall into water: with tails, the fall before is known better than with a Gaussian of one size."""
-    rng = np.random.default_rng(4)
-    time = np.linspace(0, 1, 31)
-    meets = rng.uniform(0.4, 0.6, (12, 1))
-    after = np.maximum(time - meets, 0)
-    v = 9.8 * meets
-    # Then dv/dt = -6 v², so the way is log(1 + 6 v t) / 6.
-    true = np.where(after > 0, -4.9 * meets**2 - np.log1p(6 * v * after) / 6, -4.9 * time**2)
-    value = true + 1e-3 * rng.normal(size=true.shape)
-
-    def error() -> float:
-        found = smooth(measured(time, value), np.tile(time, (12, 1)))
-        return float(np.sqrt(np.mean((found.mean[:, :10, 1] + 9.8 * time[:10]) ** 2)))
-
-    with_tails = error()
-    monkeypatch.setattr(smoother, "_FREEDOM", 1e6)
-    assert with_tails < 0.95 * error()
 
 
 def test_throws_of_different_lengths_do_not_change_one_another() -> None:

@@ -6,7 +6,6 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from scipy.integrate import solve_ivp
 
 from tasks.world import LinkStates, Physics, Slush, VelocityChange
 from tasks.world.slush import submerged_part
@@ -68,26 +67,6 @@ def link_states(n: int, rng: np.random.Generator, *, dtype: type = np.float64, d
         "omega": rng.uniform(-20, 20, n),
     }
     return LinkStates(**{name: array.astype(dtype) for name, array in arrays.items()})
-
-
-def test_drag_is_the_solution_of_its_differential_equation() -> None:
-    slush, physics = Slush(), Physics(gravity=0.0)  # so that there is no buoyancy
-    links = link_states(20, np.random.default_rng(7))
-    change = slush.velocity_change(links, physics)
-    area, second_moment = submerged_part(links.length_scale, links.y, links.cos, links.sin)
-    for i in range(20):
-        k = 0.5 * 1.25 * 10.0 * area[i] / links.mass[i]
-        k_r = 1.25 * 20.0 * second_moment[i] / links.inertia[i]
-
-        def drag(_: float, v: np.ndarray, k: float = k, k_r: float = k_r) -> list[float]:
-            speed = np.hypot(v[0], v[1])
-            return [-k * speed * v[0], -k * speed * v[1], -k_r * abs(v[2]) * v[2]]
-
-        before = np.array([links.vx[i], links.vy[i], links.omega[i]])
-        solved = solve_ivp(drag, (0, 1 / 60), before, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
-        after = before + np.array([change.vx[i], change.vy[i], change.omega[i]])
-        # The solver holds 1e-11 of 28 m/s in each of its steps, of which it takes fewer than 100.
-        np.testing.assert_allclose(after, solved, rtol=0, atol=100 * 1e-11 * 28)
 
 
 def added(links: LinkStates, change: VelocityChange) -> LinkStates:

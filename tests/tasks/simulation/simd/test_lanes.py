@@ -10,22 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tasks.compiled import inline
-from tasks.simulation.simd.lanes import (
-    Block,
-    any_lane,
-    count_lanes,
-    count_parts,
-    floor,
-    fma,
-    from_row,
-    part,
-    select,
-    sqrt,
-    to_double,
-    to_single,
-    truncate,
-    widest,
-)
+from tasks.simulation.simd.lanes import Block, floor, fma, select, sqrt, to_double, to_single, truncate
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="these are the compiled lanes")
 
@@ -116,31 +101,3 @@ def test_fma_rounds_once(numbers):
         exact = float(Fraction(a) * Fraction(b) + Fraction(c))
         assert out.rows[0, i] == np.float32((exact - (a * b + c)) * 2.0**60)
         assert fma(np.array([a]), b, c)[0] == exact
-
-
-@numba.njit
-def by_parts(block):
-    for index in range(count_parts(block)):
-        some = part(block, index)
-        tail = from_row(some, 2)
-        some[1] = some[0] + 100.0 * index
-        tail[0] = select(some[0] > 2.5, 1.0, 0.0) * (2.0 if any_lane(some[0] > 3.5) else 1.0)
-        tail[1] = 0.0 * some[0] + count_lanes(some[0])
-
-
-@pytest.mark.parametrize("run", [by_parts, by_parts.py_func], ids=["compiled", "plain"])
-@pytest.mark.parametrize("width", [1, 2, 4, 8, 16, 32])
-def test_parts_are_halves_of_more_lanes_than_a_register_has(width, run):
-    n_parts = 2 if width > widest() // 2 else 1
-    block = Block(5, width)
-    block.rows[0] = numbers = np.arange(width)
-    block.rows[4] = -1.0
-    run(block)
-    size = width // n_parts
-    which = numbers // size
-    np.testing.assert_array_equal(block.rows[0], numbers)
-    np.testing.assert_array_equal(block.rows[1], numbers + 100 * which)
-    any_above = np.array([(numbers[which == index] > 3.5).any() for index in range(n_parts)])
-    np.testing.assert_array_equal(block.rows[2], (numbers > 2.5) * np.where(any_above[which], 2, 1))
-    assert (block.rows[3] == size).all()
-    assert (block.rows[4] == -1).all()
