@@ -1,4 +1,4 @@
-"""The assembly drawing on an A3 sheet: side view, perspective view, and tables of joints, parts and items to buy.
+"""The assembly drawing on an A3 sheet: side view, perspective view, and a table of joints.
 
 The side view is to scale when printed at full size. The same kit gives the same bytes.
 """
@@ -209,7 +209,7 @@ def _joint(sheet: Axes, servo_joint: ServoJoint, kit: Kit, put: Put, scale: floa
 
 
 def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
-    """Draw the tables of joints, parts and items to buy. Returns the lower end [mm]."""
+    """Draw the table of joints and the warning of faults. Returns the lower end [mm]."""
     x, y = _COLUMN_X_MM, _SHEET_MM[1] - 18.0
     joints = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
     for servo_joint in kit.servo_joints:
@@ -220,20 +220,6 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
             carrier = f"part {servo_joint.carrier + 1}, {side}"
             joints.append([f"{joint.link}", turns, rest, f"±{degrees(joint.motion_range):.1f}°", carrier, sense])
     y = _table(sheet, x, y, "Joints", joints, (10, 25, 19, 18, 25, 25))
-    parts = [["part", "links", "layer", "pieces", "size", "both copies"]]
-    for body, (x0, y0, x1, y1) in zip(kit.mechanism.bodies, (o.bounds for o in kit.outlines), strict=True):
-        layer = "outer" if kit.layers.outer[body.index] else "inner"
-        pieces = f"2 × {len(kit.splits[body.index].pieces)}"
-        mass = f"{sum(part.mass_g for part in kit.parts if part.body == body.index):.0f} g"
-        links = ", ".join(map(str, body.links))
-        parts.append([f"{body.index + 1}", links, layer, pieces, f"{x1 - x0:.0f} × {y1 - y0:.0f}", mass])
-    y = _table(sheet, x, y - 6, "Parts", parts, (10, 27, 19, 18, 25, 23))
-    bought = [["count", "item", "length", "note"]]
-    for line in kit.bill:
-        if line.kind != "print":
-            length = "" if line.length_mm is None else f"{line.length_mm:.1f}"
-            bought.append([f"{line.count}", line.item, length, line.note])
-    y = _table(sheet, x, y - 6, "To buy", bought, (10, 43, 14, 55))
     if n_faults:
         y -= 8
         warning = f"{n_faults} fault{'s' * (n_faults > 1)} found. Read the findings before you print."

@@ -19,7 +19,6 @@ from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Files, Inputs, OutsideFile
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable
 from tasks.tracks.bars import TrackedBarError
-from tasks.tracks.fluid_memory import Memory
 from tasks.tracks.free_fall import Fall, falls_oddly
 from tasks.tracks.residuals import TrackReport, check_throws
 from tasks.tracks.table import Paths, length_scale_of, time_scale_of
@@ -202,14 +201,6 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
             f"warning: bars above the water fall at {-fall.acceleration:.2f} ± {fall.sd:.2f} m/s², expected "
             f"{gravity:g}: check tracks.length_unit, the scale of the calibration, and the frame rate"
         )
-    recalled = Memory(**_with_nan(report["memory"]))
-    if recalled.found:
-        lines.append(
-            f"warning: residuals depend on how bars accelerated before ({recalled.share:+.2f} ± "
-            f"{recalled.sd:.2f} of it), not on their state alone: added mass or wakes, which networks cannot learn"
-        )
-    elif not recalled.n_rows:
-        lines.append("    added mass and wakes: not tested, too few bars below the surface are known precisely enough")
     return lines
 
 

@@ -11,7 +11,6 @@ from tasks.residual import MeasuredTransitions, observe
 from tasks.simulation.free_links import FreeLinks
 from tasks.tracks.bars import Bars, TrackedBarError, length_scales
 from tasks.tracks.conventions import Tracks
-from tasks.tracks.fluid_memory import Memory, memory
 from tasks.tracks.free_fall import Fall, check_falls
 from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, length_scale_of, paths_of
@@ -38,7 +37,6 @@ class TrackReport:
     n_rows_at_contacts: int  # transitions left out
     slowest_contact: float  # that is noticed [m/s]
     fall: Fall
-    memory: Memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +96,6 @@ def residual_transitions(
     first = _estimate(table, bars, tracks, physics)
     paths, turned, smoothed, transitions = first.paths, first.contacts, first.smoothed, first.transitions
     interval = _typical_interval(paths)
-    recalled = memory(transitions, physics.time_step, interval)
     if tracks.fit == "rollouts":
         smoothed, in_range = _rolled_out(first, physics, n_iterations)
         transitions = _transitions(paths, first.long_axes, smoothed, physics, first.usable & in_range)
@@ -117,7 +114,6 @@ def residual_transitions(
         n_rows_at_contacts=first.n_rows_at_contacts,
         slowest_contact=slowest_contact(interval, first.position_sd),
         fall=first.fall,
-        memory=recalled,
     )
     return transitions, report
 
