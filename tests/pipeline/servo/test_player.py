@@ -235,20 +235,3 @@ def test_a_second_signal_switches_off_at_once(plug, calibration, wanted, clock):
         f"joint 4 (channel 3) {angles[1]:+.0f}°"
     )
     assert player.log.entries[-1].event == f"servos: {player.outcome}"
-
-
-def test_a_failed_return_is_not_reported_as_neutral(calibration, wanted, clock):
-    class Blocked(DryRunController):
-        """Accepts no bytes on the way back to neutral, then works again."""
-
-        n_sent = 0
-
-        def send(self, pulses_us) -> None:
-            self.n_sent += 1
-            if self.n_sent > 120:
-                raise PortLostError("blocked")
-
-    player = Player(Blocked(), calibration.servos, Memory(), StopRequest(), clock=clock)
-    with pytest.raises(PortLostError, match="blocked"):
-        player.follow(frames_of(wanted))
-    assert "switched off away from neutral" in player.outcome

@@ -66,13 +66,6 @@ def test_a_trial_cut_anywhere_is_the_uncut_one(uncut: tuple[Population, History]
     assert_same(run(cuts), uncut)
 
 
-def test_evolution_finds_longer_links(uncut: tuple[Population, History]) -> None:
-    # Random designs have 6 links of 2 m on average; of as many draws as the trial made, evolution's best is better.
-    population, history = uncut
-    drawn = long_and_fast(random_designs(len(history["fitness"]), np.random.default_rng(1)))
-    assert population.fitness.max() > drawn.fitness.max()
-
-
 def test_the_history_has_a_row_for_every_design(uncut: tuple[Population, History]) -> None:
     population, history = uncut
     n = N_GENERATIONS * AFPO.population_size

@@ -5,7 +5,6 @@ from build123d import GeomType
 from pydantic import ValidationError
 
 from tasks.fabrication.built_bodies import mechanism_of
-from tasks.fabrication.features import SCREW_LENGTHS_MM, KitError, ear_screw_mm, horn_screw, horn_seat_mm, plate_mm
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import Gauge
@@ -31,23 +30,6 @@ def test_measurements_replace_the_library():
     ):
         with pytest.raises(ServoError, match=said):
             servo_of(KitSettings(**changes))
-
-
-@pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
-def test_screws_reach_and_hold(crane, servo, horn):
-    for thickness in (17.0, 25.0, 40.0):
-        settings = KitSettings(servo=servo, horn=horn, thickness_mm=thickness)
-        servo_joint = joint_of(crane, settings)
-        screw = horn_screw(servo_joint, settings)
-        beyond = screw.length_mm - screw.web_mm
-        assert screw.length_mm in SCREW_LENGTHS_MM and 5.0 <= screw.web_mm <= horn_seat_mm(servo_joint, settings)
-        # It protrudes from the horn, whose whole thickness holds it, and stays clear of the case.
-        assert servo_joint.horn.thickness_mm < beyond < servo_joint.horn.top_mm
-        ear = ear_screw_mm(servo_joint)
-        assert servo_joint.servo.ear_screw_mm <= ear - servo_joint.servo.ear_thickness_mm <= plate_mm(servo_joint)
-    settings = KitSettings(measured={"thickness_mm": 4.9, "top_mm": 5.0})  # 0.1 mm to the case
-    with pytest.raises(KitError, match=r"no screw of 4 to 60 mm holds a disc horn 4\.9 mm thick .* 5 mm above"):
-        horn_screw(joint_of(crane, settings), settings)
 
 
 def floors(gauge: Gauge) -> list[float]:

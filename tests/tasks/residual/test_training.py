@@ -45,13 +45,6 @@ def thrown():
     return simulate_throws(starts, 200, Slush(), Physics())
 
 
-def test_members_differ_in_their_networks_and_share_their_hold_out(thrown):
-    a, b, c = (train_member(thrown, SMALL, SHORT, seed=s, member=m) for s, m in ((3, 0), (3, 1), (4, 0)))
-    assert (a.weights["weight_0"] != b.weights["weight_0"]).all()
-    assert (a.standardisation.residual_mean == b.standardisation.residual_mean).all()
-    assert (a.standardisation.residual_mean != c.standardisation.residual_mean).any()
-
-
 def test_throws_never_seen_are_predicted_much_better_than_by_the_mean():
     # With 40 throws a single impact unlike all others can outweigh the rest; 200 leave some 50 to be judged by.
     starts = initial_states(Throws(n_throws=200), np.random.default_rng(5))
@@ -78,20 +71,7 @@ def test_data_that_are_not_finite_end_a_training_by_name(thrown, value):
         train_member(synthetic(10, 5, spoiled), SMALL, SHORT, seed=0, member=4)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"n_iterations": 0},
-        {"learning_rate": 0.0},
-        {"loss": "huber"},
-        {"held_out": -0.1},
-        {"held_out": 1.0},
-        {"focal_gamma": 0.5},
-        {"min_learning_rate": 1e-2},
-        {"batch_size": 0},
-        {"unknown": 1},
-    ],
-)
+@pytest.mark.parametrize("wrong", [{"n_iterations": 0}, {"held_out": 1.0}, {"min_learning_rate": 1e-2}, {"unknown": 1}])
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         Training(**wrong)

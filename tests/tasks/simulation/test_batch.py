@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from both_engines import Slushes, assert_equal_in_plain_python, networks
 
-from tasks.design import Designs, random_designs, rigid_bodies
+from tasks.design import Designs, random_designs
 from tasks.simulation import DIVERGED, OK, batch, simulate
-from tasks.simulation.rigid_bodies import engine, layout, packing
+from tasks.simulation.rigid_bodies import engine
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import step
 from tasks.simulation.trees.groups import Groups
@@ -121,27 +121,6 @@ def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_eng
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     assert set(ours.status.flat) == {OK, DIVERGED}
     assert np.isnan(ours.displacement[ours.status == DIVERGED]).all()
-
-
-def test_pairs_come_in_the_order_in_which_fixtures_are_made():
-    designs = random_designs(1, np.random.default_rng(1))
-    star = Designs(
-        **{
-            **dict(designs.arrays()),
-            "parent": np.array([[-1, 0, 0, 1, 1, 3]]),
-            "motor_on": np.array([[False, False, True, True, False, False]]),
-        }
-    )
-    # Bodies {0, 1, 4}, {2}, {3, 5} are created from the last to the first: links 3, 5; 2; 0, 1, 4.
-    rigid = rigid_bodies(star, passive_joints="locked")
-    assert rigid.first_link.tolist() == [[0, 0, 2, 3, 0, 3]]
-    a, b, n = packing.fixture_pairs(star, rigid, BODIES)
-    pairs = list(zip(a[0].tolist(), b[0].tolist(), strict=True))[: n[0]]
-    ground = [(layout.GROUND, link) for link in (3, 5, 2, 0, 1, 4)]
-    # Without (3, 1) and (2, 0), which joints tie, and without links of one body.
-    assert pairs == [*ground, (3, 2), (3, 0), (3, 4), (5, 2), (5, 0), (5, 1), (5, 4), (2, 1), (2, 4)]
-    a, b, n = packing.fixture_pairs(star, rigid, Physics(passive_joints="locked"))
-    assert list(zip(a[0].tolist(), b[0].tolist(), strict=True))[: n[0]] == ground
 
 
 @pytest.mark.parametrize(("n_designs", "physics", "n_steps"), [(4, TREES, (15, 15)), (2, BODIES, (5, 3))])
