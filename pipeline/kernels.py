@@ -22,6 +22,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.event import Listener, register
 
 import tasks
+from pipeline.errors import PuddleError
 from pipeline.locks import wait_for_lock
 from tasks.compiled import KERNELS
 from tasks.simulation.batch import needed_kernels
@@ -87,7 +88,7 @@ def _locked(folder: Path) -> Iterator[None]:
 def checked_folder() -> Path:
     """Return the folder of the kernels once it is sound, which the first kernel of a process asks for."""
     folder = cache_folder()
-    with contextlib.suppress(OSError), _locked(folder):  # what can't be written costs compilation in every process
+    with contextlib.suppress(OSError, PuddleError), _locked(folder):  # else every process compiles its own
         if not is_sound(folder):
             _warn(f"the compiled kernels in {folder} are damaged and are compiled again")
             for path in (*kernel_files(folder), folder / _DIGESTS):
@@ -142,7 +143,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                 draft = folder / f".{_DIGESTS}"
                 draft.write_text(json.dumps(_digests(folder), indent=1))
                 draft.replace(folder / _DIGESTS)
-        except OSError as error:
+        except (OSError, PuddleError) as error:
             _warn(f"a compiled kernel could not be kept for the next process: {error}")
 
 

@@ -17,7 +17,7 @@ from pipeline.store.encoding import Json
 from pipeline.workflow.code_digest import recorded_code
 from pipeline.workflow.graph import ChainProgress, StageRun, is_split
 from pipeline.workflow.identity import InputName, to_json
-from pipeline.workflow.progress import Bar
+from pipeline.workflow.progress import Work
 from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, OutsideFile
 
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
@@ -48,7 +48,12 @@ class Limits:
 
 
 def run_stage(
-    run: StageRun, chains: Sequence[ChainProgress], *, cluster: Cluster, bar: Bar, limits: Limits = Limits()
+    run: StageRun,
+    chains: Sequence[ChainProgress],
+    *,
+    cluster: Cluster,
+    advance: Callable[[Work], object],
+    limits: Limits = Limits(),
 ) -> None:
     """Compute what is missing of a stage, and advance its chains.
 
@@ -56,13 +61,13 @@ def run_stage(
         run: the stage, its inputs and its store.
         chains: its chains, from :meth:`StageRun.chains`.
         cluster: computes items.
-        bar: the stage's progress, which advances by weighted units.
+        advance: counts work that has just been committed.
         limits: how long an item may take.
 
     Raises:
         PuddleError: an item needs a GPU, and the cluster has none.
     """
-    _Dispatcher(run, cluster, bar, limits).run(chains)
+    _Dispatcher(run, cluster, advance, limits).run(chains)
 
 
 _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several chains, computed in one call
@@ -71,9 +76,9 @@ _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several c
 class _Dispatcher:
     """Keeps a cluster busy with a stage's chains, heaviest remaining chain first."""
 
-    def __init__(self, run: StageRun, cluster: Cluster, bar: Bar, limits: Limits) -> None:
+    def __init__(self, run: StageRun, cluster: Cluster, advance: Callable[[Work], object], limits: Limits) -> None:
         self._run, self._stage = run, run.stage
-        self._cluster, self._bar, self._limits = cluster, bar, limits
+        self._cluster, self._advance, self._limits = cluster, advance, limits
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
         self._running: dict[Ticket, _Batch] = {}
         self._code = recorded_code(run.stage)  # before any worker loads it: files may be edited while it runs
@@ -184,7 +189,7 @@ class _Dispatcher:
         progress.n_failures, progress.alone = 0, False
         # Where an item in the middle was damaged, the items after it stand: they depend on its content.
         self._run.advance(progress)
-        self._bar.advance(left - progress.left)
+        self._advance(left - progress.left)
 
 
 def _take_batch(ready: list[tuple[float, int]], chains: Sequence[ChainProgress], most_others: int) -> list[int]:

@@ -19,8 +19,8 @@ from pipeline.workflow.background import Background
 from pipeline.workflow.compiling import compiling
 from pipeline.workflow.dispatcher import Limits, run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require, results_of
-from pipeline.workflow.progress import NOTHING, Progress, StudyTimes
-from pipeline.workflow.record import DrivenStudy, RecordingBar
+from pipeline.workflow.progress import NOTHING, Progress, StudyTimes, Work
+from pipeline.workflow.record import DrivenStudy
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror
 from tasks.world import Physics
@@ -165,4 +165,9 @@ class _Driver:
             self.mirror.live(run.stage, chains),
             self.progress.stage(name, unit=unit, total=left + done, done=done, study=self.times()) as bar,
         ):
-            run_stage(run, chains, cluster=cluster, bar=RecordingBar(bar, self.record), limits=self.limits)
+
+            def advance(work: Work) -> None:
+                self.record.begin()  # these settings have a result
+                bar.advance(work)
+
+            run_stage(run, chains, cluster=cluster, advance=advance, limits=self.limits)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import timedelta
-from typing import IO, Any, Protocol, cast
+from typing import IO, Any, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
@@ -58,13 +58,6 @@ class StudyTimes:
         """Return the time of the stages after one [s]."""
         after = self.stages[self.stages.index(stage) + 1 :] if self.stages else ()
         return sum(self.expected.get(name, 0.0) for name in after)
-
-
-class Bar(Protocol):
-    """A stage's progress, as seen by the work."""
-
-    def advance(self, work: Work) -> None:
-        """Count work just done."""
 
 
 @dataclass
@@ -165,7 +158,7 @@ class Progress:
     @contextmanager
     def stage(
         self, name: str, *, unit: str, total: Work, done: Work = NOTHING, study: StudyTimes | None = None
-    ) -> Iterator[Bar]:
+    ) -> Iterator[Pace]:
         """Return a context manager that shows a stage while it runs, and gives the bar to advance.
 
         Args:

@@ -12,7 +12,6 @@ from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
 from pipeline.workflow.identity import item_label
-from pipeline.workflow.progress import Bar, Work
 from pipeline.workflow.stage import Upstream
 
 
@@ -85,18 +84,6 @@ class DrivenStudy:
     def _write(self, record: StudyRecord) -> None:
         self._store.write_study(record)
         self._record = record
-
-
-class RecordingBar:
-    """A stage's bar that puts the study's settings on record once the stage has a result."""
-
-    def __init__(self, bar: Bar, record: DrivenStudy) -> None:
-        self._bar, self._record = bar, record
-
-    def advance(self, work: Work) -> None:
-        """Count work just done."""
-        self._record.begin()
-        self._bar.advance(work)
 
 
 def recorded_study(store: Store, name: str) -> StudyRecord:

@@ -54,6 +54,9 @@ class Terminal:
 def silent(line: str) -> None: ...
 
 
+def ignored(work: Work) -> None: ...
+
+
 def run(
     settings: Settings,
     store: Store,
@@ -66,7 +69,7 @@ def run(
     for stage in stages:
         stage_run = StageRun(stage, settings, upstream, store, say)
         chains = stage_run.chains()
-        run_stage(stage_run, chains, cluster=cluster, bar=NoBar())
+        run_stage(stage_run, chains, cluster=cluster, advance=ignored)
         upstream[stage.name] = results_of(stage, chains)
     return upstream
 

@@ -6,7 +6,7 @@ import re
 import shutil
 
 import pytest
-from small_study import NoBar, digests, labelled, run, silent
+from small_study import digests, ignored, labelled, run, silent
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
@@ -203,7 +203,7 @@ def test_a_page_that_fails_is_reported_like_any_item(serial_run, tmp_path):
     page_run = StageRun(report, tiny(), upstream, store, silent)
     chains = page_run.chains()
     with serial_cluster() as cluster:
-        run_stage(page_run, chains, cluster=cluster, bar=NoBar())
+        run_stage(page_run, chains, cluster=cluster, advance=ignored)
     summary = report.summarise(tiny(), results_of(report, chains), store)
     assert "no ink" in summary.lines[0]
 
