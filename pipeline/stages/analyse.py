@@ -117,7 +117,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             elif one.section == "paper":
                 counts = Counter(row.verdict for row in rows)
                 told = ", ".join(f"{counts[verdict]} × {verdict}" for verdict in VERDICTS)
-                lines.append(f"{len(rows)} statements of the paper: {told}; the page has the table")
+                lines += textwrap.wrap(f"{len(rows)} statements of the paper: {told}; the page has the table", 78)
     known = {name: value for name, value in metrics.items() if value is not None and isfinite(value)}
     counted = ", ".join(f"{name} ({len(next(iter(joined(own).values()))):,})" for name, own in parts.items())
     lines = [*textwrap.wrap(f"rows of the tables of study {settings.name}: {counted}", 78), *lines]
