@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_files import calibration_yaml, read_timeline
+from pipeline.fabrication.kit_files import calibration_yaml
 from pipeline.servo.log import default_path
 from pipeline.servo.play import SAFETY, Confirm, Connection, Say, calibration_at, open_controller, run
 from pipeline.servo.player import Clock, Frames
 from pipeline.store import disk
 from tasks.arrays import Float64
 from tasks.fabrication.calibration import Calibration, ServoCalibration
-from tasks.fabrication.timeline import TimelineError, pulses
 
 _LOWEST_US, _HIGHEST_US = 500.0, 2500.0  # pulses that hobby servos accept
 _LARGEST_STEP_US = 100.0  # so that a slip of the finger moves a servo by 10° only
@@ -79,12 +78,6 @@ def calibrate(options: CalibrateOptions, user: Dialogue, clock: Clock | None = N
             f"joint {servo.joint} on channel {servo.channel}: rest at {servo.centre_us:g} µs, "
             f"{servo.us_per_rad:.0f} µs/rad, direction {servo.direction:+d}, {servo.min_us:g} to {servo.max_us:g} µs"
         )
-    timeline = path.with_name("timeline.json")
-    if timeline.is_file():
-        try:
-            pulses(read_timeline(timeline), after)
-        except TimelineError as error:
-            user.say(f"With these values {timeline} can't be played: {str(error).removesuffix('.')}.")
     previous = disk.unused(path)
     if not user.confirm(f"Write {path}? The previous calibration stays as {previous.name}."):
         user.say(f"{path} is unchanged.")
