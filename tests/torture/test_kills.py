@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -139,3 +140,25 @@ def test_kill_9_at_random_moments(torture, tmp_path):
     for log in map(submissions_of, (path for path in tmp_path.iterdir() if path.is_dir())):
         submitted = [line.split()[1] for line in log.read_text().splitlines()] if log.exists() else []
         assert set(submitted) <= {"missing"}
+
+
+def test_a_driver_killed_at_random_moments_resumes_to_the_same_bytes(torture, full, new_folder):
+    """Drivers of one store, each a process of its own, killed again and again until one ends the study."""
+    full.drive(reference := new_folder() / "store")
+    undisturbed, root, n_killed = tree(reference), new_folder() / "store", 0
+    for rng in torture.attempts(20, 200):
+        if (driver := os.fork()) == 0:
+            with contextlib.suppress(BaseException):
+                full.drive(root)
+                os._exit(0)
+            os._exit(1)
+        time.sleep(float(rng.exponential(0.1)))
+        os.kill(driver, signal.SIGKILL)
+        _, status = os.waitpid(driver, 0)
+        assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0
+        n_killed += os.WIFSIGNALED(status)
+        if not os.WIFSIGNALED(status):
+            assert tree(root) == undisturbed
+            root = new_folder() / "store"
+    full.drive(root)
+    assert tree(root) == undisturbed and n_killed
