@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import puddle
@@ -40,3 +41,9 @@ def test_puddle_is_imported_beside_a_user_s_own_modules(shadow, tmp_path):
     program = f"import sys; sys.path.append({str(root)!r}); import puddle, tasks; print(tasks.__file__)"
     ran = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert Path(ran.stdout.strip()) == root / "tasks" / "__init__.py"
+
+
+def test_a_name_is_no_environment():
+    designs = puddle.random_designs(1, np.random.default_rng(0))
+    with pytest.raises(TypeError, match=r"environment: expected one, such as TrueSlush\(depth=9.0\), got 'true_slush'"):
+        puddle.simulate(designs, "true_slush")

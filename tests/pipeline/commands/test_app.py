@@ -303,19 +303,6 @@ def test_a_foreign_manifest_is_computed_again(study, capsys, tmp_path):
     assert json.loads(manifest.read_text())["digest"] == intact["digest"]
 
 
-def test_a_damaged_database_is_reported_before_the_ui_starts(study, capsys, tmp_path):
-    store = tmp_path / "store"
-    shutil.copytree(study[-1], store)
-    (store / "mlflow.db").write_bytes(b"no database at all" * 100)
-    said = refused(capsys, "ui", "--store", str(store))
-    assert "mlflow.db" in said and "delete it" in said
-
-
-def test_a_refused_element_is_one_mistake(capsys, tmp_path):
-    said = refused(capsys, "study", "--set", "grid.depths=[-1]", "--store", str(tmp_path / "store"))
-    assert len(said.splitlines()) == 1
-
-
 def test_single_members_evolve_only_at_depths_of_the_grid():
     grid = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three").grid
     assert {depth for _, depth, _ in grid.trials()} == {3.0}

@@ -139,3 +139,12 @@ def test_memory_limits_the_number_of_workers():
     found = examination._memory(8, free=2e9)
     assert found.verdict == "fail" and "2.0 GB free" in found.found and "--workers 2" in found.advice
     assert examination._memory(2, free=2e9).verdict == "ok"
+
+
+def test_a_processor_with_other_low_bits_is_a_warning(monkeypatch):
+    monkeypatch.setattr(examination, "number_of_cores", lambda: 8)
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: {"avx2": True, "fma": True})
+    assert examination._processor(2).verdict == "ok"
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: {"sse4.2": True})
+    found = examination._processor(2)
+    assert found.verdict == "warn" and "use one kind for a study" in found.advice
