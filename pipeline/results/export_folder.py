@@ -18,8 +18,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -48,8 +49,6 @@ EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 
 LARGE_TABLES = ("histories", "adaptations")  # of every design that ever lived; gigabytes in a large study
 _CSV_PER_PARQUET = 5  # bytes, about
-_ROWS_PER_GROUP = 100_000  # of a Parquet file, which is written trial by trial
-
 
 def export_study(
     study: Study,
@@ -154,27 +153,14 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: 
 
 
 def _write_parquet(path: Path, parts: Callable[[], Iterator[pa.Table]]) -> tuple[pa.Schema, int]:
-    """Write a table of any length in the memory of some of its parts; return its schema and number of rows."""
-    groups = _groups(parts())
-    first = next(groups)
-    n_rows = 0
+    """Write a table of any length, one part at a time; return its schema and number of rows."""
+    rest = parts()
+    first, n_rows = next(rest), 0
     with pq.ParquetWriter(path, first.schema, compression="zstd") as writer:
-        for group in (first, *groups):
-            writer.write_table(group)
-            n_rows += len(group)
+        for part in chain((first,), rest):
+            writer.write_table(part)
+            n_rows += len(part)
     return first.schema, n_rows
-
-
-def _groups(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
-    """Join short parts."""
-    waiting: list[pa.Table] = []
-    for part in parts:
-        waiting.append(part)
-        if sum(map(len, waiting)) >= _ROWS_PER_GROUP:
-            yield pa.concat_tables(waiting)
-            waiting = []
-    if waiting:
-        yield pa.concat_tables(waiting)
 
 
 def _write_csv(path: Path, parts: Callable[[], Iterator[pa.Table]]) -> tuple[pa.Schema, int]:
@@ -188,7 +174,7 @@ def _write_csv(path: Path, parts: Callable[[], Iterator[pa.Table]]) -> tuple[pa.
     sheets = (_flat(part, widths) for part in parts())
     first = next(sheets)
     with pyarrow.csv.CSVWriter(path, first.schema) as writer:
-        for sheet in (first, *sheets):
+        for sheet in chain((first,), sheets):
             writer.write_table(sheet)
             n_rows += len(sheet)
     return first.schema, n_rows

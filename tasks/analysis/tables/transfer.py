@@ -9,7 +9,6 @@ from tasks.analysis import paper
 from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
 from tasks.analysis.registry import OfArm, StudyData, analysis, column, percent
 from tasks.analysis.scores import BEST, ScoredTrial, arms
-from tasks.world import EnvironmentName
 
 
 @analysis("scores", row=ScoredTrial, reads=("transfer",), answers="How far does the champion of each trial get?")
@@ -43,22 +42,20 @@ TOO_WIDE = ("n", "sigma", "fitness", "adapted_share_of_adapted", "paper_zero_sho
 
 def transfer_rows(trials: Sequence[ScoredTrial]) -> list[TransferRow]:
     """Average the trials of each arm, the greatest depth first."""
-    means: dict[tuple[EnvironmentName, float], dict[str, Mean]] = {}
-    for environment, depth in arms(trials):
-        own = [trial for trial in trials if (trial.environment, trial.depth) == (environment, depth)]
-        means[environment, depth] = {
-            name: mean_of(np.array([getattr(trial, name) for trial in own])) for name in _AVERAGED
-        }
+    by_arm = {arm: [one for one in trials if (one.environment, one.depth) == arm] for arm in arms(trials)}
+    means = {
+        arm: {name: mean_of(np.array([getattr(one, name) for one in own])) for name in _AVERAGED}
+        for arm, own in by_arm.items()
+    }
     rows = []
     for (environment, depth), of_arm in means.items():
         best = means.get((BEST[0], depth), {})
-        n = sum((trial.environment, trial.depth) == (environment, depth) for trial in trials)
         is_ensemble = of_arm["predicted_sd"].value is not None
         rows.append(
             TransferRow(
                 environment,
                 depth,
-                n,
+                len(by_arm[environment, depth]),
                 of_arm["predicted"],
                 of_arm["predicted_sd"].value,
                 of_arm["fitness"].value if is_ensemble else None,
