@@ -50,6 +50,7 @@ EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 LARGE_TABLES = ("histories", "adaptations")  # of every design that ever lived; gigabytes in a large study
 _CSV_PER_PARQUET = 5  # bytes, about
 
+
 def export_study(
     study: Study,
     out: Path,

@@ -1,6 +1,7 @@
 """The notebook and the tutorial of docs/: their Python runs on a study, and the notebook's outputs show no fault."""
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -41,8 +42,10 @@ def test_its_cells_run_on_a_study(notebook, recorded, monkeypatch, capsys):
 def test_the_python_of_the_tutorial_runs(recorded, capsys):
     (code,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "tutorial.md").read_text(), flags=re.M | re.S)
     code = code.replace('"smoke", store="store"', f'"tiny", store={str(recorded)!r}').replace("depth=9.0", "depth=1.0")
-    exec(compile(code, "tutorial.md", "exec"), {})
-    assert "crossover" in capsys.readouterr().out
+    names: dict[str, object] = {}
+    exec(compile(code, "tutorial.md", "exec"), names)
+    assert "true_slush" in (printed := capsys.readouterr().out) and len(names["champion"]) == 1
+    assert math.isfinite(float(printed.splitlines()[-1].strip("[]")))
 
 
 def drawn_into(figures):
