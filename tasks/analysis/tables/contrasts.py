@@ -21,7 +21,7 @@ CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
 )
 
 
-@analysis("contrasts", row=Comparison, reads=("transfer",), answers="Which arms travel farther than others?")
+@analysis("contrasts", version=2, row=Comparison, reads=("transfer",), answers="Which arms travel farther than others?")
 def contrasts(study: StudyData) -> list[Comparison]:
     """Make every contrast at every depth where both arms have trials; Holm's family is all of them."""
     return compare(study.trials, study.trials, CONTRASTS)
