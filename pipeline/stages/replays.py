@@ -1,5 +1,6 @@
 """Replays of champions: every one in True Slush, and the best of each arm where it evolved, too."""
 
+import contextlib
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from tasks.analysis.hallucination import acceleration, disagreement, link_states
 from tasks.analysis.registry import Champion
 from tasks.arrays import Float64, Floats
 from tasks.design import Designs
+from tasks.residual.ensemble import WeightsError
 from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS, DryLand, EnsembleMedium, EnvironmentName, Medium
 
@@ -66,7 +68,10 @@ def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
                 medium = environments.ensemble_of({own_network: study.networks[own_network]})
             arm = Arm(film.seen_in, film.champion.depth)
             push = push_of(simulation, arm, film.member, design, film.trace, medium)
-            overlays = doubts(simulation, design, film.trace, study.ensemble(film.champion)) if study.networks else ()
+            overlays: tuple[Overlay, ...] = ()
+            with contextlib.suppress(WeightsError):  # the stages that evolve under such networks have failed and say so
+                if study.networks:
+                    overlays = doubts(simulation, design, film.trace, study.ensemble(film.champion))
             plain = _replay(study, film)
             replays.append(replace(plain, push=push, overlays=overlays, best=True, arm_mean=mean))
     return replays

@@ -86,6 +86,8 @@ def experiment_id(client: Any) -> str | None:
 
 def explained(error: Exception, store: Path, uri: str | None) -> str:
     """Say in a sentence why MLflow fails, and what to do."""
+    if isinstance(error, PuddleError):  # a lock, or a server that does not answer
+        return str(error).rstrip(".")
     place = uri or str(store / "mlflow.db")
     reason = (str(error) or type(error).__name__).splitlines()[0].partition(". ")[0]
     if "schema" in reason or "revision" in reason:

@@ -20,7 +20,7 @@ KINDS = ["die", "tear", "all", "contents", "names", "some"]
 """Faults: death before an effect, death half-way through a write, and power cuts that lose all unsynced data, contents
 alone, names alone, or some of both at random."""
 
-PARTS = {"science": (None, "transfer", 4), "analyses": ("transfer", "analyse", 8), "report": ("analyse", "report", 2)}
+PARTS = {"science": (None, "transfer", 4), "analyses": ("transfer", "analyse", 7), "report": ("analyse", "report", 2)}
 """Parts of the study: the last stage before it, its own last stage, and the number of items that it computes."""
 
 

@@ -43,7 +43,7 @@ class Shuffled:
         self.out_of_order = 0
         self._cluster, self._rng = cluster, rng
         self._finished: list[tuple[Ticket, Outcome]] = []
-        self.share, self.submit, self.started = cluster.share, cluster.submit, cluster.started
+        self.share, self.submit = cluster.share, cluster.submit
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
         while (done := self._cluster.next_done(timeout=0.5 if self._finished else None)) is not None:

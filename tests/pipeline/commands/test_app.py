@@ -70,9 +70,10 @@ def refused(capsys, *arguments: str) -> str:
 
 def check_headline(said: str, page: Path, store: str) -> None:
     """Check what a study shows at its end: figures in 80 columns, the page's address, and commands that exist."""
-    heading, objective, columns, _units, *arms, opened = said.strip().partition("\nNext:\n")[0].splitlines()
+    heading, objective, scale, columns, _units, *arms, opened = said.strip().partition("\nNext:\n")[0].splitlines()
     assert heading.startswith("Champions of study tiny in True Slush, 1 m deep")
     assert objective == "selected for: displacement"
+    assert scale == "1/8,000 of the paper’s evolution: the figures mean nothing"
     assert re.split("  +", columns) == ["evolved in", "depth", "predicted", "zero-shot", "of E", "adapted", "of E"]
     assert [arm.split(",")[0] for arm in arms] == ["True Slush", "Dry Land", "Residual Slush"]
     assert opened == f"Open: {page.as_uri()}"
