@@ -14,9 +14,8 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.report.page import FIGURES
-from pipeline.stages import STAGES, environments, train
+from pipeline.stages import STAGES, environments
 from pipeline.stages.report import PAGE, REPORT
-from pipeline.store.encoding import encode_arrays
 from pipeline.store.store import Store
 from tasks.world import ResidualSlush, Slush, TrueSlush
 
@@ -25,12 +24,12 @@ from tasks.world import ResidualSlush, Slush, TrueSlush
 def page_of(settings, tmp_path):
     """Run the tiny study otherwise, and give its page."""
 
-    def page(*overrides: str, all_done: bool = True) -> str:
+    def page(*overrides: str) -> str:
         changed = parse(Settings, settings.model_dump_json(), name="tiny", overrides=overrides)
         store = Store.open(tmp_path / "store", create=True)
         with serial_cluster() as cluster:
             upstream = run(changed, store, cluster, STAGES[:-1])
-        assert all_done == (not any(results.failed for results in upstream.values()))
+        assert not any(results.failed for results in upstream.values())
         chain = next(chain for chain in REPORT.plan(changed) if chain.label == PAGE)
         item = REPORT.item(changed, chain, 0, None, upstream)
         inputs = {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
@@ -93,22 +92,3 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
         said = f"{n_assessed} of {n_assessed} designs diverged, in True Slush or under a member"
         assert f"assess: {arm}/1m/trial-0: {said}" in words
     assert not re.search(r"transfer: \w+/", words)
-
-
-def test_members_that_observe_different_things_are_named_and_the_rest_is_there(page_of, monkeypatch):
-    """The second member was made by a code that observed five things of a link."""
-
-    def older(arrays, **said):
-        if said["producer"] != first.setdefault("key", said["producer"]):
-            arrays = {**arrays, "observation_mean": arrays["observation_mean"][:5]}
-        return encode_arrays(arrays, **said)
-
-    first: dict[str, str] = {}
-    monkeypatch.setattr(train, "encode_arrays", older)
-    html = page_of("grid.n_trials=1", all_done=False)
-    fault = "WeightsError: member 1: observation_mean has shape (5,), expected (6,)"
-    assert words_of(html).count(fault) > 2
-    assert f"residual_slush/1m/trial-0 failed after 2 attempts at residual_slush/1m/trial-0/segment-0: {fault}" in (
-        words_of(html)
-    )
-    check_figures(html, "prediction_accuracy", "coverage")

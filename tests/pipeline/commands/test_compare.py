@@ -30,16 +30,20 @@ def changed(settings: Settings, *overrides: str) -> Settings:
     return parse(Settings, settings.model_dump_json(), name="tiny", overrides=overrides)
 
 
+def add_study(root: Path, settings: Settings) -> None:
+    """Run a study up to its transfer."""
+    store = Store.open(root, create=False)
+    with serial_cluster() as cluster:
+        results = run(settings, store, cluster, STAGES[:BEFORE_ASSESSMENT])
+    DrivenStudy(settings, store, silent).update(results, finished=True)
+
+
 @pytest.fixture(scope="module")
-def root(settings, tmp_path_factory) -> Path:
-    """A store with two studies, each up to its transfer."""
-    store = Store.open(tmp_path_factory.mktemp("compared") / "store", create=True)
-    for name, seed in (("tiny", 1), ("other", 2)):
-        own = changed(settings, f"name={name}", f"seed={seed}", f"evolution.n_generations={3 + seed}")
-        with serial_cluster() as cluster:
-            results = run(own, store, cluster, STAGES[:BEFORE_ASSESSMENT])
-        DrivenStudy(own, store, silent).update(results, finished=True)
-    return store.root
+def root(settings, recorded, tmp_path_factory) -> Path:
+    """A store with the shared study, and another up to its transfer."""
+    root = shutil.copytree(recorded, tmp_path_factory.mktemp("compared") / "store")
+    add_study(root, changed(settings, "name=other", "seed=2", "evolution.n_generations=5"))
+    return root
 
 
 @pytest.fixture(scope="module")
@@ -83,11 +87,7 @@ def test_two_arms_of_a_study_are_compared_in_every_kind_of_file(root, tmp_path, 
 
 
 def test_trials_of_networks_have_the_replicates_of_their_study(settings, root):
-    own = changed(settings, "name=replicated", "replicates=2")
-    store = Store.open(root, create=False)
-    with serial_cluster() as cluster:
-        results = run(own, store, cluster, STAGES[:BEFORE_ASSESSMENT])
-    DrivenStudy(own, store, silent).update(results, finished=True)
+    add_study(root, changed(settings, "name=replicated", "replicates=2"))
     rows = compare_studies(*(open_study(name, root) for name in ("replicated", "other"))).rows
     learned = ("residual_slush", "single_member")
     assert {(row.a.split("/")[0] in learned, row.n_replicates) for row in rows} == {(True, 2), (False, 1)}
@@ -107,20 +107,13 @@ def test_the_page_fits_its_window(browser: Browser, page, width):
     assert browser.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
 
 
-def test_a_study_of_another_store(root, tmp_path, capsys):
+def test_a_study_of_another_store_with_other_physics_is_compared_with_a_caution(settings, root, tmp_path, capsys):
     other = shutil.copytree(root, tmp_path / "elsewhere")
-    assert call("compare", "tiny", "other", "--store", str(root), "--store-b", str(other)) == 0
-    assert f"A: study tiny, in {root}; B: study other, in {other}" in capsys.readouterr().out
-
-
-def test_studies_with_other_physics_are_compared_with_a_caution(settings, root, tmp_path, capsys):
-    own = changed(settings, "name=thin", "slush.linear_drag=5")
-    store = Store.open(shutil.copytree(root, tmp_path / "store"), create=False)
-    with serial_cluster() as cluster:
-        results = run(own, store, cluster, STAGES[:BEFORE_ASSESSMENT])
-    DrivenStudy(own, store, silent).update(results, finished=True)
-    assert call("compare", "thin", "tiny", "--store", str(store.root)) == 0
-    assert "They differ in what a displacement is: slush.linear_drag." in capsys.readouterr().out
+    add_study(other, changed(settings, "name=thin", "slush.linear_drag=5"))
+    assert call("compare", "tiny", "thin", "--store", str(root), "--store-b", str(other)) == 0
+    said = capsys.readouterr().out
+    assert f"A: study tiny, in {root}; B: study thin, in {other}" in said
+    assert "They differ in what a displacement is: slush.linear_drag." in said
 
 
 # -- bad input -------------------------------------------------------------------------------------------------------

@@ -38,9 +38,7 @@ def call(*words):
 
 @pytest.fixture(scope="module")
 def robot(crane):
-    genes = {name: array.copy() for name, array in crane.arrays()}
-    genes["motion_range"][:, 0] = 0.2
-    return type(crane)(**genes)
+    return replace(crane, motion_range=np.where(crane.parent < 0, 0.2, crane.motion_range))
 
 
 @pytest.fixture(scope="module")
@@ -69,17 +67,17 @@ def run(robot, tmp_path_factory):
     return folder, trace, speed
 
 
-def tracks_of(path, trace, *, slower=1.0, links=range(6)):
+def tracks_of(path, trace, *, links=range(6)):
     """Write what a camera would see of a simulated run, 60 times a second."""
     frame = np.arange(0.0, STEP * N_STEPS, 1 / 60)
     steps, rows = STEP * (1 + np.arange(N_STEPS)), []
     for link in links:
         x, y, angle = (np.interp(frame, steps, trace[:, link, i]) for i in range(3))
-        rows += [(link, *row) for row in zip(frame + BEGAN, 0.07 * x * slower, 0.07 * y, angle, strict=True)]
+        rows += [(link, *row) for row in zip(frame + BEGAN, 0.07 * x, 0.07 * y, angle, strict=True)]
     path.write_text("throw,time,x,y,angle\n" + "\n".join(",".join(map(str, row)) for row in rows))
     steady = (frame > 2) & (frame < 8)
     period = TIME / 0.2
-    x = 0.07 * slower * np.interp(frame, steps, trace[:, 0, 0])[steady]
+    x = 0.07 * np.interp(frame, steps, trace[:, 0, 0])[steady]
     n = round(60 * period)
     return (x[-n:].mean() - x[:n].mean()) / (len(x) - n) * 60
 
@@ -128,12 +126,8 @@ def test_the_last_line_says_whether_the_prediction_held(run, tmp_path, capsys, o
 def test_a_prediction_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):
     """Tenths, so that a speed just outside of an interval does not read as its limit."""
     _, said, _ = compared(run, tmp_path, capsys, kit=predicting(run, tmp_path, run[2], 0.1))
-    predicted = re.escape(f"{1000 * run[2] - 200:+.1f} to {1000 * run[2] + 200:+.1f} mm/s")
-    assert re.fullmatch(
-        r"The robot moved as predicted, but the prediction leaves the direction open: it went [+-]\d+\.\d mm/s, within "
-        rf"the {predicted} that the kit's ensemble predicted\.",
-        said.splitlines()[-1],
-    )
+    assert "the prediction leaves the direction open" in said.splitlines()[-1]
+    assert f"{1000 * run[2] - 200:+.1f} to {1000 * run[2] + 200:+.1f} mm/s" in said.splitlines()[-1]
 
 
 def test_a_study_predicts_the_path_of_every_member(run, recorded, tmp_path, capsys):
@@ -146,29 +140,37 @@ def test_a_study_predicts_the_path_of_every_member(run, recorded, tmp_path, caps
     assert note in said and note in page.read_text() and "link_collisions False (built: True)" in said
 
 
-def test_tracks_of_something_else(run, robot, tmp_path, capsys):
-    _, trace, _ = run
-    far = trace.copy()
-    far[:, 1, 0] += 2.0
-    tracks_of(tmp_path / "other.csv", far)
-    code, said, page = compared(run, tmp_path, capsys, tracks=tmp_path / "other.csv")
-    assert code == 2 and "is this the kit of another robot" in said and not page.exists()
-    tracks_of(tmp_path / "rootless.csv", trace, links=(2, 4))
-    assert "no tag of link 0" in compared(run, tmp_path, capsys, tracks=tmp_path / "rootless.csv")[1]
-    tracks_of(tmp_path / "few.csv", trace, links=(0, 2))
-    assert "expected link 4 or 5" in compared(run, tmp_path, capsys, tracks=tmp_path / "few.csv")[1]
-    (tmp_path / "throws.csv").write_text("throw,time,x,y,angle\n7,0,0,0,0\n")
-    assert "expected links of a robot, 0 to 5" in compared(run, tmp_path, capsys, tracks=tmp_path / "throws.csv")[1]
-    (tmp_path / "bad.csv").write_text("throw,time,x\n0,0,0\n")
-    assert "got none named y, angle" in compared(run, tmp_path, capsys, tracks=tmp_path / "bad.csv")[1]
-    (tmp_path / "still.csv").write_text("throw,time,x,y,angle\n0,1,0,0,0\n2,1,0,0.1,0\n4,1,0.1,0,0\n")
-    code, said, _ = compared(run, tmp_path, capsys, tracks=tmp_path / "still.csv")
-    assert code == 2 and "it is seen in 1 frame, expected at least 3" in said
+def millimetres(run, path):
     head, *rows = (run[0] / "run.csv").read_text().splitlines()
-    rows = [",".join((a, t, str(1000 * float(x)), y, b)) for a, t, x, y, b in (row.split(",") for row in rows)]
-    (tmp_path / "mm.csv").write_text("\n".join([head, *rows]))
-    code, said, _ = compared(run, tmp_path, capsys, tracks=tmp_path / "mm.csv")
-    assert code == 2 and "m/s, expected at most 5: x and y are in metres" in said
+    cells = (row.split(",") for row in rows)
+    path.write_text("\n".join([head, *(f"{link},{t},{1000 * float(x)},{y},{angle}" for link, t, x, y, angle in cells)]))
+
+
+def far(run, path):
+    trace = run[1].copy()
+    trace[:, 1, 0] += 2.0
+    tracks_of(path, trace)
+
+
+HEAD = "throw,time,x,y,angle\n"
+
+
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (far, "is this the kit of another robot"),
+        (lambda run, path: tracks_of(path, run[1], links=(2, 4)), "no tag of link 0"),
+        (lambda run, path: tracks_of(path, run[1], links=(0, 2)), "expected link 4 or 5"),
+        (lambda run, path: path.write_text(HEAD + "7,0,0,0,0\n"), "expected links of a robot, 0 to 5"),
+        (lambda run, path: path.write_text("throw,time,x\n0,0,0\n"), "got none named y, angle"),
+        (lambda run, path: path.write_text(HEAD + "0,1,0,0,0\n2,1,0,0.1,0\n4,1,0.1,0,0\n"), "expected at least 3"),
+        (millimetres, "m/s, expected at most 5: x and y are in metres"),
+    ],
+)
+def test_tracks_of_something_else(write, message, run, tmp_path, capsys):
+    write(run, tmp_path / "tracks.csv")
+    code, said, page = compared(run, tmp_path, capsys, tracks=tmp_path / "tracks.csv")
+    assert code == 2 and message in said and not page.exists()
 
 
 def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):

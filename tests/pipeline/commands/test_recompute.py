@@ -1,7 +1,6 @@
 """Results of a different version of the code: commands name them, and `--recompute` makes them anew."""
 
 import json
-from pathlib import Path
 
 import pytest
 from command_line import call, refused
@@ -10,9 +9,8 @@ from pipeline.store.store import Store
 
 
 @pytest.fixture
-def store(options) -> Store:
+def store(store) -> Store:
     """A copy of a finished study's store in which other code has made the items of evolve."""
-    store = Store.open(Path(options[-1]), create=False)
     for key in list(store.keys("evolve")):
         manifest = store.manifest("evolve", key)
         files = {name: store.read(manifest, name) for name in manifest.files}

@@ -1,20 +1,11 @@
 """`puddle status` and `puddle studies`: what is on record is never shown as missing."""
 
 import json
-from pathlib import Path
 
-import pytest
-from command_line import call
+from command_line import call, refused
 
-from pipeline.commands.study_status import list_studies
 from pipeline.store.encoding import encode_document
 from pipeline.store.store import STUDY_SCHEMA, FailedChain, Store, StudyRecord
-
-
-@pytest.fixture
-def store(options) -> Store:
-    """A copy of a store with the finished study tiny."""
-    return Store.open(Path(options[-1]), create=False)
 
 
 def status_of(capsys, *options: str) -> dict:
@@ -51,7 +42,7 @@ def test_status_as_json(options, store, capsys):
     assert {"n_done", "n_items", "units", "unit", "core_seconds", "failed"} <= status["stages"][2].keys()
     differing = status_of(capsys, *options, "--set", "seed=3")
     assert differing["settings_differ"] == ["seed: 1 → 3"] and states(differing) == {"done"}
-    assert call("status", "--json", "--digests", *options) == 2
+    assert "got both" in refused(capsys, "status", "--json", "--digests", *options)
 
 
 def test_what_was_made_from_a_lost_item_is_not_missing(options, store, capsys):
@@ -67,12 +58,8 @@ def test_what_was_made_from_a_lost_item_is_not_missing(options, store, capsys):
 
 def test_studies_are_listed(store, capsys):
     record = store.read_study("tiny")
-    settings = {
-        **record.settings,
-        "name": "longer",
-        "seed": 7,
-        "evolution": {**record.settings["evolution"], "n_generations": 8},
-    }
+    longer = {**record.settings["evolution"], "n_generations": 8}
+    settings = {**record.settings, "name": "longer", "seed": 7, "evolution": longer}
     failed = (FailedChain("evolve", "dry_land/1m/trial-0", "an error"),)
     store.write_study(StudyRecord("longer", settings, (), failed, source="preset smoke"))
     store.write_study(StudyRecord("broken", settings, ()))
@@ -87,32 +74,26 @@ def test_studies_are_listed(store, capsys):
     assert (store.export_path("tiny") / "index.html").as_uri() in said
     assert call("studies", "--json", "--store", str(store.root)) == 0
     broken, longer, tiny = json.loads(capsys.readouterr().out)["studies"]
-    assert (
-        broken["problem"]
-        and not broken["done"]
-        and tiny["done"]
-        and tiny["changed"]
-        and tiny["page"].startswith("file:///")
-    )
+    assert broken["problem"] and not broken["done"]
+    assert tiny["done"] and tiny["changed"] and tiny["page"].startswith("file:///")
     assert longer["preset"] == "smoke" and "seed: 1 → 7" in longer["differences"] and longer["n_failed"] == 1
 
 
-def test_a_store_without_studies(tmp_path, capsys):
-    store = Store.open(tmp_path / "store", create=True)
-    assert list(list_studies(store)) == []
-    assert call("studies", "--store", str(store.root)) == 0
+def test_a_store_without_studies_and_no_store(tmp_path, capsys):
+    Store.open(tmp_path / "store", create=True)
+    assert call("studies", "--store", str(tmp_path / "store")) == 0
     assert capsys.readouterr().out.startswith("no studies in")
-    assert call("studies", "--store", str(tmp_path / "none")) == 2
+    assert str(tmp_path / "none") in refused(capsys, "studies", "--store", str(tmp_path / "none"))
 
 
-def test_what_a_strangers_record_says_does_not_reach_the_terminal_raw(options, capsys):
+def test_what_a_strangers_record_says_does_not_reach_the_terminal_raw(store, capsys):
     """Whoever can write a record can seal it."""
-    store = Store.open(Path(options[-1]), create=False)
     path = store.study_path("tiny") / "study.json"
     body = json.loads(path.read_text())
     hostile = {name: body[name] for name in ("name", "settings", "items")}
     hostile["items"][0][1] = "dry\x1b]0;owned\x07 \u202e"
     path.write_bytes(encode_document(hostile, schema=STUDY_SCHEMA, version=1))
+    assert store.read_study("tiny").source == ""  # an early record has none
     for command in (("status", "tiny"), ("studies",), ("verify",), ("gc",), ("studies", "--json")):
         call(*command, "--store", str(store.root))
         said = capsys.readouterr()

@@ -5,8 +5,8 @@ import json
 import jsonschema
 import pytest
 import yaml
+from command_line import call
 
-from pipeline.commands.app import main
 from pipeline.config.annotated import annotated_lines
 from pipeline.config.loading import load, parse, preset_names, preset_path
 from pipeline.config.settings import Settings
@@ -36,16 +36,12 @@ def test_a_setting_has_its_reason_above_and_its_default_beside_it():
 
 
 def test_the_command_lists_the_chosen_settings(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["settings", "--preset", "smoke", "--set", "seed=7"])
-    assert not ended.value.code
+    assert call("settings", "--preset", "smoke", "--set", "seed=7") == 0
     assert "seed: 7  # default: 1" in capsys.readouterr().out
 
 
 def test_the_schema_accepts_the_presets_and_refuses_what_loading_refuses(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["settings", "--schema"])
-    assert not ended.value.code
+    assert call("settings", "--schema") == 0
     schema = json.loads(capsys.readouterr().out)
     check = jsonschema.Draft202012Validator(schema)
     check.check_schema(schema)

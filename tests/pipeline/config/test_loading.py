@@ -1,5 +1,6 @@
 """Settings files and --set: values arrive as written, and every mistake is one line with its location."""
 
+import re
 import time
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -81,18 +82,17 @@ def test_an_empty_file_is_the_defaults(text: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "number"),
-    [("1e-3", 0.001), ("1E3", 1000.0), (".5", 0.5), ("5.", 5.0), ("+2", 2.0), ("010", 10.0), ("1.5e+2", 150.0)],
+    ("word", "number"), [("1e-3", 0.001), ("1E3", 1000.0), (".5", 0.5), ("5.", 5.0), ("+2", 2.0), ("010", 10.0)]
 )
 def test_numbers_in_scientific_notation(word: str, number: float) -> None:
     density = read(f"slush: {{density: {word}}}").slush.density
     assert density == number and type(density) is float
 
 
-def test_a_whole_number_may_be_written_with_an_exponent() -> None:
-    assert read("seed: 5e4").seed == 50_000
-    assert type(read("seed: 5e4").seed) is int
-    assert read("seed: 9223372036854775807").seed == 2**63 - 1
+@pytest.mark.parametrize(("word", "number"), [("5e4", 50_000), ("9223372036854775807", 2**63 - 1)])
+def test_a_whole_number_may_be_written_with_an_exponent(word: str, number: int) -> None:
+    seed = read(f"seed: {word}").seed
+    assert seed == number and type(seed) is int
 
 
 @pytest.mark.parametrize("word", ["no", "off", "y", "on", "NO"])
@@ -146,23 +146,16 @@ def test_overrides_win_over_the_file_and_later_ones_over_earlier() -> None:
     ("override", "message"),
     [
         ("grid.n_trials=ten", 'grid.n_trials: expected a whole number, got "ten"'),
-        ("grid.n_trials=0", "grid.n_trials: expected a number greater than or equal to 1, got 0"),
-        (
-            "grid.n_trails=3",
-            "grid.n_trails: unknown setting; did you mean n_trials?; known: by_name, depths, "
-            "environments, media, n_trials",
-        ),
         ("grid.depths=[1, x]", 'grid.depths[1]: expected a number, got "x"'),
         ("grid.depths=", "grid.depths: expected a list, got null"),
         ("grid=3", "grid: expected a group of settings, got 3"),
         ("seed", "expected a setting's name, = and its value, such as grid.n_trials=3"),
-        ("=3", "expected a setting's name, = and its value, such as grid.n_trials=3"),
         ("grid..n_trials=3", "expected a setting's name, = and its value, such as grid.n_trials=3"),
         ("name=a: b", "expected a value, a list [..] or a group {..}, got a colon (quote it)"),
         ("grid.depths=[1", "while parsing a flow sequence, expected ',' or ']', but got '<stream end>'"),
         ("seed=&a 1", "expected plain values, got an anchor or an alias"),
-        ("seed=!!int 1", "expected plain values, got the tag tag:yaml.org,2002:int"),
         ("grid={n_trials: 1, n_trials: 2}", "'n_trials' appears twice"),
+        ("seed.x=3", "seed: expected a group of settings, got 1 at lab.yaml:1"),
     ],
 )
 def test_a_mistake_in_an_override_names_the_override(override: str, message: str) -> None:
@@ -172,16 +165,8 @@ def test_a_mistake_in_an_override_names_the_override(override: str, message: str
 def test_contradictory_values_are_located_at_the_file_and_the_overrides() -> None:
     said = "seed is 13, expected a luckier one"
     assert refused("name: a\nseed: 13\n") == [f"lab.yaml: {said}"]
-    assert refused("name: a\n", "seed=13") == [f"lab.yaml with --set seed=13: {said}"]
     twice = "grid.depths=[2, 3]", "seed=13"
     assert refused("grid: {n_trials: 3}\n", *twice) == [f"lab.yaml with --set {twice[0]} with --set {twice[1]}: {said}"]
-
-
-def test_an_override_below_a_value_names_the_values_location() -> None:
-    assert refused("name: a\nseed: 1\n", "seed.x=3") == [
-        "--set seed.x=3: seed: expected a group of settings, got 1 at lab.yaml:2"
-    ]
-    assert refused("", "seed=1\nname: b") == ["--set seed=1", "name: b: expected a value on one line"]
 
 
 # -- mistakes --------------------------------------------------------------------------------------------------------
@@ -218,16 +203,6 @@ def test_all_mistakes_are_reported_each_with_its_line() -> None:
     )
 
 
-def test_settings_that_do_not_go_together() -> None:
-    assert refused("seed: 13\n") == ["lab.yaml: seed is 13, expected a luckier one"]
-
-
-def test_known_settings_are_those_of_the_group_within_an_optional_one() -> None:
-    assert refused("slush:\n  densty: 1\n") == [
-        "lab.yaml:2: slush.densty: unknown setting; did you mean density?; known: density"
-    ]
-
-
 def test_long_values_are_cut() -> None:
     (line,) = refused(f"seed: {'x' * 500}")
     assert line.startswith('lab.yaml:1: seed: expected a whole number, got "xxx') and len(line) < 140
@@ -236,38 +211,26 @@ def test_long_values_are_cut() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a: 1\nb:\n  c: 1\n  c: 2\n", "lab.yaml:4: 'c' appears twice, first at lab.yaml:3"),
-        ("a: &x [1]\nb: *x\n", "lab.yaml:1: expected plain values, got an anchor or an alias"),
-        ("a: 1\nb: *x\n", "lab.yaml:2: expected plain values, got an anchor or an alias"),
-        (
-            "a:\n  !!python/object/apply:os.system [ls]",
-            "lab.yaml:2: expected plain values, got the tag tag:yaml.org,2002:python/object/apply:os.system",
-        ),
-        ("seed: 1\n<<: {name: a}\n", "lab.yaml:2: <<: unknown setting; known: batch, grid, name, resume, seed, slush"),
-        ("seed: 1\n---\nseed: 2\n", "lab.yaml:2: expected a single document in the stream, but found another document"),
-        (
-            "seed: 1\n\tname: a\n",
-            "lab.yaml:2: while scanning for the next token, found character '\\t' that cannot start any token",
-        ),
-        ("seed: 1\nname: a\x07\n", "lab.yaml:2: expected text, got the character '\\x07'"),
-        ("- 1\n", "lab.yaml:1: expected settings like `name: value`, got [1]"),
-        ("hello", 'lab.yaml:1: expected settings like `name: value`, got "hello"'),
-        ("seed: 1\n? [1]\n: 2\n", "lab.yaml:2: expected a name before the colon, got a list or a group"),
-        ("seed: .nan", 'lab.yaml:1: seed: expected a whole number, got ".nan"'),
-        ("seed: 1e999", 'lab.yaml:1: expected a number below 1e308, got "1e999"'),
-        ("seed: 2020-01-01", 'lab.yaml:1: seed: expected a whole number, got "2020-01-01"'),
-        ("seed: 1:30", 'lab.yaml:1: seed: expected a whole number, got "1:30"'),
-        ("seed: 1.5", "lab.yaml:1: seed: expected a whole number, got 1.5"),
-        ("seed: true", "lab.yaml:1: seed: expected a whole number, got true"),
-        (
-            "seed: 9223372036854775808",
-            "lab.yaml:1: seed: expected a number less than 9223372036854775808, got 9223372036854775808",
-        ),
-        ("grid:\n", "lab.yaml:1: grid: expected a group of settings, got null"),
+        ("a: 1\nb:\n  c: 1\n  c: 2\n", "4: 'c' appears twice, first at lab.yaml:3"),
+        ("a: &x [1]\nb: *x\n", "1: expected plain values, got an anchor or an alias"),
+        ("a:\n  !!python/name:os.x [ls]", "2: expected plain values, got the tag tag:yaml.org,2002:python/name:os.x"),
+        ("seed: 1\n<<: {name: a}\n", "2: <<: unknown setting; known: batch, grid, name, resume, seed, slush"),
+        ("slush:\n  densty: 1\n", "2: slush.densty: unknown setting; did you mean density?; known: density"),
+        ("seed: 1\n---\nseed: 2\n", "2: expected a single document in the stream, but found another document"),
+        ("seed: 1\nname: a\x07\n", "2: expected text, got the character '\\x07'"),
+        ("- 1\n", "1: expected settings like `name: value`, got [1]"),
+        ("seed: 1\n? [1]\n: 2\n", "2: expected a name before the colon, got a list or a group"),
+        ("seed: .nan", '1: seed: expected a whole number, got ".nan"'),
+        ("seed: 1e999", '1: expected a number below 1e308, got "1e999"'),
+        ("seed: 2020-01-01", '1: seed: expected a whole number, got "2020-01-01"'),
+        ("seed: 1:30", '1: seed: expected a whole number, got "1:30"'),
+        ("seed: 1.5", "1: seed: expected a whole number, got 1.5"),
+        (f"seed: {2**63}", f"1: seed: expected a number less than {2**63}, got {2**63}"),
+        ("grid:\n", "1: grid: expected a group of settings, got null"),
     ],
 )
 def test_bad_yaml_is_refused_with_its_line(text: str, message: str) -> None:
-    assert refused(text) == [message]
+    assert refused(text) == [f"lab.yaml:{message}"]
 
 
 def test_expanding_or_deeply_nested_documents_are_refused_at_once() -> None:
@@ -296,37 +259,30 @@ def test_any_text_is_loaded_or_refused_in_lines(text: str) -> None:
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
-    with pytest.raises(PuddleError, match=f"{path}: expected a settings file, got: No such file"):
-        load(Study, path)
-    with pytest.raises(PuddleError, match=f"{tmp_path}: expected a settings file, got: Is a directory"):
-        load(Study, tmp_path)
+
+    def refusal(of: Path = path) -> str:
+        with pytest.raises(PuddleError) as told:
+            load(Study, of)
+        return str(told.value)
+
+    assert refusal().startswith(f"{path}: expected a settings file, got: No such file")
+    assert refusal(tmp_path).startswith(f"{tmp_path}: expected a settings file, got: Is a directory")
     path.write_bytes(b"seed: 1\nname: \xff\n")
-    with pytest.raises(PuddleError, match=f"{path}:2: expected UTF-8 text, got the byte 0xff"):
-        load(Study, path)
+    assert refusal() == f"{path}:2: expected UTF-8 text, got the byte 0xff"
     path.write_bytes(b"#" * (2**20 + 1))
-    with pytest.raises(PuddleError, match=f"{path}: expected at most 1048576 bytes"):
-        load(Study, path)
+    assert refusal().startswith(f"{path}: expected at most 1048576 bytes")
     path.write_text("grid:\n  n_trials: 0\n")
-    with pytest.raises(PuddleError, match=rf"{path}:2: grid\.n_trials: expected a number"):
-        load(Study, path)
+    assert refusal().startswith(f"{path}:2: grid.n_trials: expected a number")
     assert load(Study, path, ["grid.n_trials=2"]).grid.n_trials == 2
 
 
 def test_presets_are_the_yaml_files_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert {"smoke", "laptop", "row-small", "row", "desk", "paper", "pontoon", "tank"} <= set(preset_names())
     monkeypatch.setattr(loading, "PRESETS", tmp_path)
-    with pytest.raises(PuddleError, match=f"expected a file of {tmp_path}, which holds none"):
-        preset_path("smoke")
     for name in ("smoke.yaml", "laptop.yaml", "notes.txt"):
         (tmp_path / name).touch()
     assert preset_names() == ["laptop", "smoke"]
     assert preset_path("smoke") == tmp_path / "smoke.yaml"
-    with pytest.raises(PuddleError, match="preset 'smok': expected one of laptop, smoke; did you mean smoke"):
-        preset_path("smok")
-    for name in ("../smoke", "smoke.yaml", "", "/etc/passwd", "*"):
-        with pytest.raises(PuddleError, match="expected one of laptop, smoke"):
+    for name in ("smok", "../smoke", "smoke.yaml", "", "/etc/passwd", "*"):
+        with pytest.raises(PuddleError, match=f"preset {re.escape(repr(name))}: expected one of laptop, smoke"):
             preset_path(name)
-
-
-def test_the_presets_of_this_checkout_exist() -> None:
-    assert {"smoke", "laptop", "row-small", "row", "desk", "paper", "pontoon", "tank"} <= set(preset_names())
-    assert all(preset_path(name).is_file() for name in preset_names())

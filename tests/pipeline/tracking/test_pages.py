@@ -14,6 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 from browser import Browser
+from database_template import own_databases
 from mlflow.tracking import MlflowClient
 from small_study import ON_DRY_LAND, Terminal
 
@@ -31,8 +32,10 @@ from pipeline.workflow.driver import drive
 
 
 @pytest.fixture(autouse=True)
-def only_our_server(monkeypatch):
+def only_our_server(monkeypatch) -> Iterator[None]:
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    with own_databases():  # the tests ask for the runs while it is made
+        yield
 
 
 @contextlib.contextmanager
@@ -96,30 +99,27 @@ def trials(store: Store) -> list:
     return found and mlflow.search_runs([found.experiment_id], "tags.`puddle.kind` = 'trial'")
 
 
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
 @contextlib.contextmanager
 def pages(store: Path, *words: str) -> Iterator[tuple[subprocess.Popen, str]]:
     """Run `puddle ui`; yield its process and the address that it prints once the server is up."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "pipeline", "ui", "--store", str(store), "--port", str(port), *words]
+    command = [sys.executable, "-m", "pipeline", "ui", "--store", str(store), "--port", str(free_port()), *words]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     server = subprocess.Popen(
-        command,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True
     )
-    family = [psutil.Process(server.pid)]
     try:
         assert server.stdout is not None
         line = next(line for line in server.stdout if line.startswith("MLflow: "))
-        family += family[0].children(recursive=True)
         yield server, line.split()[1]
     finally:
-        for child in family:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                child.kill()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(server.pid, signal.SIGKILL)
         server.wait()
 
 
@@ -167,17 +167,12 @@ def test_the_runs_page_is_that_of_model_training():
 def test_the_ui_says_what_it_lacks(tmp_path):
     with pytest.raises(PuddleError, match=r"expected mlflow\.db"):
         show_ui(tmp_path, 5000)
+    uri = f"http://127.0.0.1:{free_port()}"
+    with pytest.raises(PuddleError, match=f"{uri} does not answer"):
+        show_ui(tmp_path, 5000, uri=uri)
     (tmp_path / "mlflow.db").touch()
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(PuddleError, match=r"port \d+ is not available.*--port"):
             show_ui(tmp_path, taken.getsockname()[1])
-
-
-def test_the_ui_of_a_server_that_is_away_is_refused(tmp_path):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        uri = f"http://127.0.0.1:{probe.getsockname()[1]}"
-    with pytest.raises(PuddleError, match=f"{uri} does not answer"):
-        show_ui(tmp_path, 5000, uri=uri)

@@ -14,18 +14,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from command_line import call
+from small_study import ON_DRY_LAND
 
-from pipeline.commands.app import main
 from pipeline.store.store import Store
 
 COMPOSE = Path(__file__).parents[3] / "docker" / "compose.yaml"
-
-SETTINGS = """name: served
-grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 1}
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 2, afpo: {population_size: 4}}
-work: {engine: reference}
-"""
 
 
 def answer(port: int, host: str) -> int:
@@ -74,17 +68,15 @@ def test_a_study_on_a_server_is_found_there(server, tmp_path, monkeypatch, capsy
 
     assert answer(server, "mlflow:5000") == 200  # what the driver's container calls it
     assert answer(server, "elsewhere.example") == 403
-    (tmp_path / "served.yaml").write_text(SETTINGS)
+    (tmp_path / "tiny.yaml").write_text(ON_DRY_LAND)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://127.0.0.1:{server}")
-    options = ["--settings", str(tmp_path / "served.yaml"), "--store", str(tmp_path / "store"), "--workers", "0"]
-    with pytest.raises(SystemExit) as ended:
-        main(["evolve", *options])
-    assert not ended.value.code
+    options = ["--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"), "--workers", "0"]
+    assert call("evolve", *options) == 0
     assert "MLflow" not in capsys.readouterr().err
     client = MlflowClient(f"http://127.0.0.1:{server}")
     experiment = client.get_experiment_by_name("puddle")
     runs = client.search_runs([experiment.experiment_id])
-    assert {run.info.run_name for run in runs} == {"served", "evolve", "dry_land/1m/trial-0"}
+    assert {run.info.run_name for run in runs} == {"tiny", "evolve", "dry_land/1m/trial-0"}
     (stage,) = (run for run in runs if run.info.run_name == "evolve")
     assert [file.path for file in client.list_artifacts(stage.info.run_id)] == ["lineage.json"]
     assert not (Store.open(tmp_path / "store", create=False).root / "mlflow.db").exists()
