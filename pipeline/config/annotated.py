@@ -38,7 +38,7 @@ def _fields(group: BaseModel, indent: str) -> Iterator[str]:
             yield from _fields(value, indent + "  ")
         else:
             default = field.get_default(call_default_factory=True)
-            differs = "" if value == default else f"  # default: {_value(default)}"
+            differs = "" if field.is_required() or value == default else f"  # default: {_value(default)}"
             yield from _wrapped(f"{indent}{name}: {_value(value)}{differs}", indent)
 
 

@@ -18,6 +18,12 @@ def test_the_text_loads_as_the_same_settings(name):
     assert parse(Settings, "\n".join(annotated_lines(settings)), name=name) == settings
 
 
+def test_a_setting_without_a_default_is_written():
+    """The file of tracked throws is one."""
+    settings = Settings(tracks={"file": "throws.csv"}, throws={"source": "tracks"})
+    assert parse(Settings, "\n".join(annotated_lines(settings)), name="paper") == settings
+
+
 def test_names_that_look_like_other_types_are_quoted():
     for name in ("true", "null", "1e3", "9", "a-b_c", "no"):
         settings = Settings(name=name)
