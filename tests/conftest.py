@@ -40,7 +40,7 @@ TOGETHER = {
         "workflow/test_dispatcher.py",
         "torture/test_order.py",
     ),
-    "quick_study": ("torture/test_crash_points.py", "torture/test_corruption.py", "torture/test_full_disk.py"),
+    "quick_study": ("torture/test_crash_points.py", "torture/test_full_disk.py"),
     "study": (
         "commands/test_app.py",
         "commands/test_by_name.py",

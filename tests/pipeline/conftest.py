@@ -7,27 +7,12 @@ from pathlib import Path
 import pytest
 from browser import CHROMIUM, Browser
 from command_line import call
-from small_study import ON_DRY_LAND, run, silent
+from small_study import ON_DRY_LAND, run, silent, tiny
 
 from pipeline.cluster import serial_cluster
-from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.store.store import Store
 from pipeline.workflow.record import DrivenStudy
-
-TINY = """
-name: tiny
-throws: {n_throws: 6, n_steps: 20}
-network: {hidden_layers: 1, width: 4}
-training: {n_iterations: 20, batch_size: 64}
-ensemble: {n_members: 2}
-grid: {depths: [1.0], single_member_depths: [1.0], n_trials: 2}
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 4, afpo: {population_size: 4}}
-transfer: {n_generations: 3, adapted_environments: [dry_land]}
-assess: {n_designs: 21}
-work: {throws_per_item: 2, generations_per_item: 3}
-"""
 
 
 @pytest.fixture
@@ -37,7 +22,7 @@ def store(tmp_path: Path) -> Store:
 
 @pytest.fixture(scope="session")
 def settings() -> Settings:
-    return parse(Settings, TINY, name="tiny")
+    return tiny()
 
 
 @pytest.fixture(scope="session")

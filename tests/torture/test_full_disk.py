@@ -1,12 +1,12 @@
 """A full disk stops a study with a clear message; with room it continues."""
 
-import contextlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from mounted import mounted
 from quick_study import tree
 
 from pipeline.errors import PuddleError
@@ -16,25 +16,13 @@ ALONE = ("unshare", "--mount", "--map-root-user")
 """Command that runs a program in its own namespace, where it may mount; it needs no privileges."""
 
 
-@contextlib.contextmanager
-def mounted(disk: Path, n_kilobytes: int):
-    """Mount a disk of a size; skip where that is not allowed."""
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={n_kilobytes}k", "tmpfs", disk]
-    if (done := subprocess.run(mount, capture_output=True, text=True)).returncode:
-        pytest.skip(f"cannot mount a disk: {done.stderr.strip()}")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", disk], check=True)
-
-
 def test_a_disk_of_any_size_that_fills(torture, tiny, new_folder):
     tiny.drive(undisturbed := new_folder() / "store")
     n_full = 0
     for rng in torture.attempts(6, 500):
         disk = new_folder()
         n_kilobytes = int(rng.integers(4, 1200 if n_full else 64))  # the first is full in any case
-        with mounted(disk, n_kilobytes):
+        with mounted(disk, f"size={n_kilobytes}k"):
             committed = []
             try:
                 tiny.drive(disk / "store")

@@ -3,28 +3,20 @@
 import numpy as np
 import pytest
 from scipy import stats
-from small_study import labelled
+from small_study import files_of, inputs_of, labelled
 
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages.analyse import ANALYSE, read_columns
 from pipeline.stages.assess import ASSESS, read_predictions
 from pipeline.stages.trial_scores import SCORE, scored_trial
-from pipeline.store.encoding import decode_json, decode_table, encode_json
+from pipeline.store.encoding import decode_table, encode_json
 from pipeline.workflow.identity import TrialId
 from tasks.analysis.tables import ANALYSES
 from tasks.design import Designs
 from tasks.design.genes import DTYPES
 
 ARMS = ("true_slush", "dry_land", "residual_slush", "single_member")
-
-
-def files_of(store, manifest):
-    return {name: store.read(manifest, name) for name in manifest.files}
-
-
-def inputs_of(store, item):
-    return {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
 
 
 def computed(settings, upstream, store, change=lambda inputs: inputs):
@@ -35,20 +27,6 @@ def computed(settings, upstream, store, change=lambda inputs: inputs):
         files = ANALYSE.compute(item, change(inputs_of(store, item)))
         tables[chain.label] = read_columns(files, ANALYSES[chain.spec.analysis])
     return tables
-
-
-def with_scores(**changes):
-    """Change the scores of every champion that an analysis reads."""
-
-    def change(inputs):
-        return {
-            name: {**files, SCORE: encode_json(decode_json(files[SCORE], name.label) | changes)}
-            if SCORE in files
-            else files
-            for name, files in inputs.items()
-        }
-
-    return change
 
 
 @pytest.fixture(scope="module")

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from small_study import labelled, run
+from small_study import files_of, labelled
 
-from pipeline.cluster import serial_cluster
-from pipeline.config.settings import GridSettings, PilotSettings
+from pipeline.config.settings import PilotSettings
 from pipeline.results import study_tables
 from pipeline.stages import STAGES, environments
 from pipeline.stages.assess import PREDICTIONS, read_predictions
@@ -18,7 +17,6 @@ from pipeline.stages.segments import HISTORY, trial_spec
 from pipeline.stages.train import TRAIN
 from pipeline.stages.transfer import SCORE, TRANSFER
 from pipeline.store.encoding import decode_json, decode_table
-from pipeline.store.store import Store
 from pipeline.workflow.identity import TrialId, to_json, trials_of
 from tasks.residual import OBSERVATION
 
@@ -34,14 +32,6 @@ def test_trials_take_turns_over_the_replicates(settings_with):
         own = DataSetId("designed_throws", index % 2)
         assert networks_of(settings, trial("designed_throws", index)) == [NetworkId(own, 0), NetworkId(own, 1)]
         assert networks_of(settings, trial("designed_single_member", index)) == [NetworkId(own, index // 2)]
-
-
-def test_every_single_member_trial_has_a_network_of_its_own(settings_with):
-    for replicates in (1, 2, 3):
-        settings = settings_with(replicates=replicates)
-        own = [networks_of(settings, of) for of in trials_of(settings, "evolve") if of.environment == "single_member"]
-        assert len({network for (network,) in own}) == 3
-        assert {network for networks in own for network in networks} <= set(network_ids(settings))
 
 
 def test_a_replicate_changes_no_identity_of_the_first(settings_with):
@@ -83,12 +73,6 @@ def test_champions_are_compared_with_the_throws_that_their_own_networks_learned_
         assert (table["n"] > 0).all()
 
 
-def test_only_the_arms_that_adapt_are_adapted(sets):
-    _, upstream = sets
-    n_items = {of.environment: len(parts) for of, parts in upstream["transfer"].done.items()}
-    assert n_items["designed_throws"] == 2 and n_items["residual_slush"] == 1
-
-
 def test_both_ensembles_are_assessed_on_the_same_designs(sets, analysed):
     store, upstream = sets
     regressions = analysed(sets, "regressions")
@@ -103,49 +87,23 @@ def test_both_ensembles_are_assessed_on_the_same_designs(sets, analysed):
         assert (one["true"] == other["true"]).all() and (one["predicted"] != other["predicted"]).any()
 
 
-def test_a_single_ensemble_is_named_after_its_throws(tmp_path, settings_with, analysed):
-    grid = {
-        "depths": [1.0],
-        "environments": ["true_slush", "designed_throws"],
-        "single_member_depths": [],
-        "n_trials": 2,
-    }
-    settings = settings_with(replicates=1, grid=GridSettings.model_validate(grid))
-    store = Store.open(tmp_path / "store", create=True)
-    with serial_cluster() as cluster:
-        upstream = run(settings, store, cluster, STAGES[:-1])
-    assert set(analysed((store, upstream), "regressions")["learned_from"]) == {"designed_throws"}
-
-
-def test_the_arms_are_contrasted_and_attributed(sets, analysed):
-    contrasts = analysed(sets, "contrasts")
+def test_the_arms_are_contrasted_and_the_variance_is_split_where_trials_depend_on_replicates(sets, analysed):
+    """Trials 0 and 2 of the three are of the first replicate; those without networks depend on none."""
+    contrasts, scores, split = (analysed(sets, name) for name in ("contrasts", "scores", "variance"))
     pairs = set(zip(contrasts["a"].tolist(), contrasts["b"].tolist(), strict=True))
     assert ("designed_throws/zero_shot", "residual_slush/zero_shot") in pairs
-    assert "designed_throws" in analysed(sets, "transfer")["environment"]
-
-
-def test_the_variance_is_split_where_trials_depend_on_replicates(sets, analysed):
-    """Trials 0 and 2 of the three are of the first replicate; those without networks depend on none."""
-    scores, split = (analysed(sets, name) for name in ("scores", "variance"))
     learned = ~np.isin(scores["environment"], ["true_slush", "randomised_slush"])
     assert (scores["replicate"] == np.where(learned, scores["trial"] % 2, 0)).all()
-    rows = {
-        (arm, quantity): at
-        for at, (arm, quantity) in enumerate(zip(split["environment"], split["quantity"], strict=True))
-    }
-    for arm, n_replicates in (("true_slush", 1), ("residual_slush", 2), ("designed_single_member", 2)):
-        at = rows[arm, "zero_shot"]
-        assert (split["n"][at], split["n_replicates"][at]) == (3, n_replicates)
-        assert (
-            np.isfinite(split["sd_between"][at]) == np.isfinite(split["share_between_low"][at]) == (n_replicates == 2)
+    of_arm = {
+        arm: (n, n_replicates, np.isfinite(between))
+        for arm, quantity, n, n_replicates, between in zip(
+            *(split[name].tolist() for name in ("environment", "quantity", "n", "n_replicates", "sd_between")),
+            strict=True,
         )
-    values = scores["zero_shot"][scores["environment"] == "residual_slush"]
-    within = (values[0] - values[2]) ** 2 / 2
-    between = (values[[0, 2]].mean() - values[1]) ** 2 * 2 / 3
-    at = rows["residual_slush", "zero_shot"]
-    pooled = between <= within
-    assert split["sd_within"][at] ** 2 == pytest.approx(values.var(ddof=1) if pooled else within)
-    assert split["sd_between"][at] ** 2 == pytest.approx(0 if pooled else (between - within) / (4 / 3))
+        if quantity == "zero_shot"
+    }
+    assert of_arm["true_slush"] == (3, 1, False)
+    assert of_arm["residual_slush"] == of_arm["designed_single_member"] == (3, 2, True)
 
 
 def test_tables_name_the_data_set(sets, settings_with):
@@ -175,14 +133,6 @@ def test_champions_of_ensembles_are_scored_with_the_sample_s_deviation(sets, ana
     mine = ranked["environment"] == "residual_slush"
     expected = sorted(scores["predicted_sd"] for scores in scores_of(sets, "residual_slush"))
     assert sorted(ranked["disagreement"][mine]) == pytest.approx(expected)
-
-
-def test_champions_of_single_members_repeat_their_scores_in_their_own_networks(sets, analysed):
-    scores = scores_of(sets, "single_member")
-    assert all(score["predicted"] == score["fitness"] and score["predicted_sd"] is None for score in scores)
-    rows = analysed(sets, "scores")
-    own = rows["environment"] == "single_member"
-    assert rows["predicted"][own].tolist() == [score["predicted"] for score in scores]
 
 
 def test_trials_of_domain_randomisation_share_the_members_of_the_study_s_seed(settings_with):
@@ -220,12 +170,6 @@ def test_what_is_not_chosen_is_in_no_key(settings_with):
 # -- pilots ----------------------------------------------------------------------------------------------------------
 
 
-def piloted(sets, group):
-    store, upstream = sets
-    (done,) = upstream["pilot"].done[DataSetId(group, 0)]
-    return {name: store.read(done, name) for name in done.files}
-
-
 def test_pilots_run_before_evolution_and_read_no_true_slush(settings_with):
     names = [stage.name for stage in STAGES]
     assert names.index("train") < names.index("pilot") < names.index("evolve")
@@ -234,8 +178,10 @@ def test_pilots_run_before_evolution_and_read_no_true_slush(settings_with):
 
 
 def test_every_data_set_is_checked_with_both_kinds_of_pilots(sets):
+    store, upstream = sets
     for group in ("throws", "designed_throws"):
-        files = piloted(sets, group)
+        (done,) = upstream["pilot"].done[DataSetId(group, 0)]
+        files = files_of(store, done)
         found = read_coverage(files)
         assert list(found) == ["dry_land", "residual_slush"]
         states = decode_table(files[STATES], schema="states", version=1, source=STATES)

@@ -135,17 +135,9 @@ def test_a_generalist_is_selected_for_its_mean_over_depths(settings, tmp_path, d
         np.testing.assert_array_equal(history["displacement"][:, 0], moved[1.0])
         np.testing.assert_array_equal(history["fitness"], np.mean([moved[of] for of in (0.0, 2.0, 5.0)], axis=0))
     (first, *_) = EVOLVE.plan(settings)
+    assert to_json(first.spec)["objective_depths"] == [0.0, 2.0, 5.0]
     (paper, *_) = EVOLVE.plan(parse(Settings, SETTINGS, name="fast"))
     assert first.weight == 4 * paper.weight  # rollouts of each design: three depths and the trial's own
-
-
-def test_the_depths_of_the_objective_are_the_grids_by_default():
-    text = SETTINGS.replace("second_half_speed", "mean_over_depths").replace("[1.0]", "[1.0, 3.0]", 1)
-    settings = parse(Settings, text, name="fast")
-    assert settings.objective_depths == (1.0, 3.0)
-    (trial, *_) = EVOLVE.plan(settings)
-    assert to_json(trial.spec)["objective_depths"] == [1.0, 3.0]
-    assert parse(Settings, SETTINGS, name="fast").objective_depths == ()
 
 
 @pytest.mark.parametrize(

@@ -4,21 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_study import inputs_of
 
 from pipeline.report.render import typeset
 from pipeline.stages.environments import MEMBER
 from pipeline.stages.replays import replays_of
-from pipeline.stages.report import ANALYSED, EVOLUTION, FILM, PAGE, REPORT
+from pipeline.stages.report import ANALYSED, FILM, PAGE, REPORT
 from pipeline.stages.study_data import StudyFiles, data_spec
 from pipeline.stages.transfer import SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.workflow.identity import trials_of
 from pipeline.workflow.stage import Execution, Failure
-
-
-def inputs_of(store, item):
-    return {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
 
 
 def item_of(label, settings, upstream):
@@ -112,12 +109,3 @@ def test_failed_and_untried_work_items_are_listed_apart(study, settings):
     spec = item_of(PAGE, settings, {**upstream, "transfer": replace(upstream["transfer"], failed=lost)}).spec
     assert spec.failed == (f"transfer: {first.label} {lost[first]}",)
     assert spec.not_possible == (f"transfer: {second.label} not possible: evolve of a",)
-
-
-def test_segments_of_a_very_long_trial_stay_in_their_order(study, settings):
-    """The curve's parts are joined in the order of the inputs."""
-    _, upstream = study
-    trial, segments = next(iter(upstream["evolve"].done.items()))
-    long = replace(upstream["evolve"], done={trial: segments[:1] * 10_001})
-    inputs = item_of(PAGE, settings, {**upstream, "evolve": long}).inputs
-    assert [name.index for name in inputs if name.role == EVOLUTION] == list(range(10_001))

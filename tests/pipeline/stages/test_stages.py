@@ -6,7 +6,7 @@ import numpy as np
 import polars
 import pyarrow.parquet
 import pytest
-from small_study import labelled
+from small_study import files_of, inputs_of, labelled
 
 from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
@@ -47,14 +47,10 @@ def test_contract(stage, settings, study):
         assert any(to_json(chain.spec) in (spec, *spec.values()) for chain in chains)  # `puddle gc` relies on it
         assert {source.manifest.stage for source in item.inputs.values()} <= {stage.name, *stage.reads(settings)}
         manifest = store.manifest(item.stage, item.key)
-        inputs = {
-            name: {file: store.read(source.manifest, file) for file in source.files}
-            for name, source in item.inputs.items()
-        }
-        files = stage.compute(item, inputs)
-        assert {name: store.read(manifest, name) for name in manifest.files} == files  # pure: the same bytes again
+        assert files_of(store, manifest) == stage.compute(item, inputs_of(store, item))  # pure: the same bytes again
     summary = stage.summarise(settings, upstream[stage.name], store)
-    assert summary.lines
+    lines = [line.replace(str(store.root), "store") for line in summary.lines]
+    assert lines and max(map(len, lines)) <= 78  # it fits a terminal, with an indentation of two
     assert all(np.isfinite(value) for value in summary.metrics.values())
 
 
@@ -131,12 +127,3 @@ def test_every_preset_plans_every_stage(name):
     assert settings.name == name
     for stage in STAGES:
         assert all(chain.n_items >= 1 for chain in stage.plan(settings))
-
-
-@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
-def test_what_a_stage_prints_fits_a_terminal(stage, settings, study):
-    store, results = study
-    lines = [
-        line.replace(str(store.root), "store") for line in stage.summarise(settings, results[stage.name], store).lines
-    ]
-    assert lines and max(map(len, lines)) <= 78  # and an indentation of two

@@ -35,29 +35,12 @@ def test_damage_is_found_named_and_mended_by_discarding(store: Store, name: str,
         (wrong,) = store.verify()
         assert str(path) in str(wrong)
         assert isinstance(wrong, DamagedArtifact) and (wrong.stage, wrong.key) == ("evolve", KEY)
+        if damage != "flip":  # a study plans by manifests alone: work whose result is gone must not look done
+            with pytest.raises(DamagedArtifact, match=str(path)):
+                store.manifest("evolve", KEY)
         store.discard("evolve", KEY)
     commit(store)
     assert tree(store.root) == undisturbed
-
-
-def test_a_file_that_is_too_long_to_be_read_again_is_not_kept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.store.manifest.MAX_FILE_BYTES", 399)
-    with pytest.raises(PuddleError, match=r"expected at most 399 bytes of history\.parquet, got 400\. Cut"):
-        commit(store)
-    assert not item(store).exists()
-    commit(store, {name: data[:399] for name, data in FILES.items()})
-
-
-def test_a_missing_or_cut_file_is_noticed_before_it_is_read(store: Store) -> None:
-    """A study plans by manifests alone: work whose result is gone must not look done."""
-    commit(store)
-    path = item(store) / "history.parquet"
-    path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, got 399 bytes"):
-        store.manifest("evolve", KEY)
-    path.unlink()
-    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, got no file"):
-        store.manifest("evolve", KEY)
 
 
 def test_a_commit_replaces_a_damaged_item(store: Store) -> None:

@@ -5,12 +5,11 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from small_study import Terminal, digests, labelled
+from small_study import ON_DRY_LAND, Terminal, digests, labelled
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
@@ -20,14 +19,6 @@ from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
 from pipeline.workflow.stage import AnyStage, Results
 
-SETTINGS = """
-name: tiny
-grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 2}
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 2, afpo: {population_size: 4}}
-transfer: {n_generations: 2}
-work: {generations_per_item: 2, engine: reference}
-"""
 TO_EVOLVE = STAGES[:4]
 TO_TRANSFER = STAGES[:5]
 
@@ -42,7 +33,9 @@ def run(
 ) -> dict[str, Results]:
     terminal = terminal or Terminal()
     return drive(
-        parse(Settings, SETTINGS, name="tiny", overrides=overrides),
+        parse(
+            Settings, ON_DRY_LAND, name="tiny", overrides=("grid.n_trials=2", "evolution.n_generations=2", *overrides)
+        ),
         stages,
         stages=STAGES,
         store=store,
@@ -59,28 +52,6 @@ def flip_a_bit(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
-
-
-def test_a_stage_is_mirrored_while_the_next_one_runs(store: Store) -> None:
-    class Slow(Terminal):
-        """A mirror that finishes a stage only after the next one has started."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.started = {name: threading.Event() for name in ("evolve", "transfer")}
-            self.mirrored: list[tuple[str, bool]] = []
-
-        def stage(self, name, **options):
-            self.started[name].set()
-            return super().stage(name, **options)
-
-        def mirror(self, study, stage, trials) -> None:
-            self.mirrored.append((stage.name, stage.name != "evolve" or self.started["transfer"].wait(60)))
-
-    terminal = Slow()
-    run(store, terminal=terminal)
-    assert terminal.mirrored[-1] == ("transfer", True)
-    assert set(terminal.mirrored) == {(stage.name, True) for stage in TO_TRANSFER}
 
 
 def test_a_signal_ends_the_wait_for_mlflow_through_every_finally(tmp_path: Path) -> None:
@@ -187,11 +158,3 @@ def test_settings_with_nothing_to_compute_are_recorded_too(store: Store) -> None
     assert store.read_study("tiny").settings["seed"] == 2
     run(store)
     assert store.read_study("tiny") == before
-
-
-@pytest.mark.parametrize("seconds", [0.0, 40.0])
-def test_compilation_of_kernels_is_announced(store: Store, seconds: float) -> None:
-    run(store, TO_EVOLVE, terminal=(terminal := Terminal()), seconds_to_compile=lambda physics: seconds)
-    assert any(
-        "compiling the kernels meanwhile, once on each machine: about 40 s" in line for line in terminal.said
-    ) == (seconds > 0)

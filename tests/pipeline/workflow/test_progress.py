@@ -1,18 +1,18 @@
 """The time left, and how it is shown with and without a terminal."""
 
+import contextlib
 import errno
 import io
 import os
 import pty
 import subprocess
 import sys
-import time
 
 import pytest
 from rich.console import Console
 
 from pipeline.commands.terminal import to_stderr
-from pipeline.workflow.progress import NOTHING, Pace, StudyTimes, Work, _about, progress
+from pipeline.workflow.progress import NOTHING, Pace, StudyTimes, Work, progress
 
 
 def even(units: float) -> Work:
@@ -62,23 +62,6 @@ def test_the_time_left_for_a_study_adds_the_stages_to_come():
     assert str(report) == "0%, 0/10 pictures, 0/s, 0:01:00 left"  # it is the last
 
 
-def test_lines_are_printed_now_and_then():
-    out = io.StringIO()
-    shown = progress(Console(file=out), seconds_between_lines=0.3)
-    with shown as show, show.stage("evolve", unit="generations", total=even(100)) as bar:
-        for _ in range(10):
-            time.sleep(0.05)
-            bar.advance(even(10))
-        show.say("a word [in brackets] " + "that is long " * 20)
-    lines = out.getvalue().splitlines()
-    progressing = [line for line in lines if line.startswith("evolve: ")]
-    assert len(progressing) >= 3  # at the start, at least once in 0.5 s, at the end
-    assert progressing[0].startswith("evolve: 0%, 0/100 generations")
-    assert " left" in progressing[1]
-    assert progressing[-1].startswith("evolve: 100%, 100/100 generations")
-    assert "a word [in brackets] " + "that is long " * 20 in lines  # neither interpreted nor wrapped
-
-
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_a_stage_that_fails_shows_how_far_it_got(error):
     out = io.StringIO()
@@ -123,42 +106,21 @@ def test_work_goes_on_without_a_terminal(is_terminal, monkeypatch):
     to_stderr("2 chains of work failed")
 
 
-def environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm-256color", "COLUMNS": "120"}
-
-
-def test_without_a_terminal_plain_lines_on_stderr():
-    ran = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=environment(), capture_output=True, text=True, timeout=60, check=True
-    )
-    assert ran.stdout == "result\n"
-    assert "\x1b" not in ran.stderr and "\r" not in ran.stderr
-    first, said, last = ran.stderr.splitlines()
-    assert first.startswith("evolve: 0%, 0/8 generations")
-    assert said == "half way"
-    assert last.startswith("evolve: 100%, 8/8 generations, ") and "took 0:00:0" in last
-
-
 def test_on_a_terminal_a_bar_that_is_redrawn():
     terminal, inner = pty.openpty()
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm-256color", "COLUMNS": "120"}
     process = subprocess.Popen(
-        [sys.executable, "-c", SCRIPT], env=environment(), stdin=inner, stdout=subprocess.PIPE, stderr=inner
+        [sys.executable, "-c", SCRIPT], env=environment, stdin=inner, stdout=subprocess.PIPE, stderr=inner
     )
     os.close(inner)
-    shown = b""
-    while True:
-        try:
-            data = os.read(terminal, 4096)
-        except OSError:  # the other end is closed
-            break
-        if not data:
-            break
-        shown += data
+    text = b""
+    with contextlib.suppress(OSError):  # the other end is closed
+        while data := os.read(terminal, 4096):
+            text += data
     out, _ = process.communicate(timeout=60)
     os.close(terminal)
-    text = shown.decode()
-    assert process.returncode == 0
-    assert out == b"result\n"
+    text = text.decode()
+    assert (process.returncode, out) == (0, b"result\n")
     assert text.count("━") > 30
     assert text.count(" left") >= 3  # drawn again and again
     assert "half way" in text
@@ -166,19 +128,14 @@ def test_on_a_terminal_a_bar_that_is_redrawn():
     assert "evolve: 100%, 8/8 generations" in text
 
 
-def test_a_line_names_the_stage_and_the_time_left_for_the_study():
+def test_without_a_terminal_lines_now_and_then_that_name_the_stage_and_the_time_left_for_the_study():
     out = io.StringIO()
     with progress(Console(file=out), seconds_between_lines=0) as show:  # noqa: SIM117
         with show.stage("evolve", unit="generations", total=even(10), study=STUDY) as bar:
             bar.advance(even(5))
+            show.say("a word [in brackets] " + "that is long " * 20)
             bar.advance(even(5))
-    first, half, done = out.getvalue().splitlines()
+    first, half, said, done = out.getvalue().splitlines()
     assert first.startswith("stage 2 of 3, evolve: 0%, 0/10 generations, ") and "; study: about 11 min left" in first
     assert "study: about" in half and done.startswith("stage 2 of 3, evolve: 100%, 10/10 generations")
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.2, "1 s"), (89, "89 s"), (90, "2 min"), (3600, "60 min"), (7200, "2.0 h")]
-)
-def test_an_estimate_is_coarse(seconds, text):
-    assert _about(seconds) == text
+    assert said == "a word [in brackets] " + "that is long " * 20  # neither interpreted nor wrapped

@@ -7,43 +7,29 @@ import dataclasses
 import numpy as np
 import pytest
 from command_line import call
+from small_study import TINY, Terminal
 
 import pipeline.stages
 import pipeline.tracking.mirror
 from pipeline.commands.terminal import INCOMPLETE
-from pipeline.stages import STAGES, environments
+from pipeline.stages import STAGES
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.store.store import Store
 from pipeline.workflow.stage import AnyStage, Files, Inputs, Item
 from tasks.residual.training import train_member
-from tasks.world import Slush, TrueSlush
 
-TINY = """
-name: tiny
-throws: {n_throws: 6, n_steps: 20}
-network: {hidden_layers: 1, width: 4}
-training: {n_iterations: 20, batch_size: 64}
-ensemble: {n_members: 2}
-grid: {depths: [1.0], environments: [dry_land, residual_slush], single_member_depths: [], n_trials: 3}
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 4, afpo: {population_size: 4}}
-transfer: {n_generations: 2}
-assess: {n_designs: 10}
-work: {throws_per_item: 3, generations_per_item: 4, engine: reference}
-"""
-
-
-class NoTracker:
-    def mirror(self, *runs) -> None: ...
-
-    def stop(self, study, status) -> None: ...
+SETTINGS = (
+    "grid={depths: [1.0], environments: [dry_land, residual_slush], single_member_depths: [], n_trials: 3}",
+    "work={throws_per_item: 3, generations_per_item: 4, engine: reference}",
+)
 
 
 @pytest.fixture
 def options(tmp_path, monkeypatch) -> tuple[str, ...]:
-    monkeypatch.setattr(pipeline.tracking.mirror, "Tracker", lambda *_, **__: NoTracker())
+    monkeypatch.setattr(pipeline.tracking.mirror, "Tracker", lambda *_, **__: Terminal())
     (tmp_path / "tiny.yaml").write_text(TINY)
-    return "--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store")
+    changes = [word for change in SETTINGS for word in ("--set", change)]
+    return "--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"), *changes
 
 
 def inject(monkeypatch: pytest.MonkeyPatch, **computes) -> None:
@@ -99,30 +85,3 @@ def test_failures_are_named_and_the_rest_completes(options, monkeypatch, tmp_pat
     assert call("train", *options, "--workers", "0") == call("evolve", *options, "--workers", "0") == 0
     made = {(stage, key) for stage in store.stages() for key in store.keys(stage)} - before
     assert sorted(stage for stage, _ in made) == ["evolve"] * 5 + ["train"]
-
-
-def test_designs_that_diverge_are_named_and_the_rest_completes(options, monkeypatch, tmp_path, capsys):
-    """Slow designs are simulated in a medium whose drag is not a number."""
-    real = environments.roll_out
-    wild = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
-
-    def roll_out(simulation, execution, environment, designs, **options):
-        sound = real(simulation, execution, environment, designs, **options)
-        lost = designs.frequency < np.median(designs.frequency)  # [Hz]
-        if not lost.any():
-            return sound
-        other = real(simulation, execution, TrueSlush(depth=environment.depth, slush=wild), designs, **options)
-        names = ("displacement", "com_displacement", "status")
-        return dataclasses.replace(
-            sound, **{name: np.where(lost, getattr(other, name), getattr(sound, name)) for name in names}
-        )
-
-    monkeypatch.setattr(environments, "roll_out", roll_out)
-    few = ("--set", "grid.environments=[dry_land]", "--set", "grid.n_trials=1")
-    assert call("study", *options, *few, "--workers", "0") == INCOMPLETE
-    said = capsys.readouterr().err
-    (line,) = {line for line in said.splitlines() if line.startswith("evolve: ") and "diverged" in line}
-    store = Store.open(tmp_path / "store", create=False)
-    assert line in (store.export_path("tiny") / "index.html").read_text()
-    call("status", *options, *few)
-    assert line.removeprefix("evolve: ") in capsys.readouterr().out
