@@ -6,17 +6,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from quick_study import FULL, TINY, QuickStudy
+from quick_study import QuickStudy
 
 
 @pytest.fixture(scope="session")
 def tiny() -> QuickStudy:
-    return QuickStudy(TINY)
-
-
-@pytest.fixture(scope="session")
-def full() -> QuickStudy:
-    return QuickStudy(FULL)
+    return QuickStudy()
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
+from small_study import ON_DRY_LAND, Terminal
 
 from pipeline.cluster import Cluster, serial_cluster
 from pipeline.config.loading import parse
@@ -21,52 +21,10 @@ from pipeline.stages.report import PAGE
 from pipeline.store.encoding import digest
 from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
-from pipeline.workflow.progress import Work
 from pipeline.workflow.stage import AnyStage
-
-TINY = {
-    "name": "tiny",
-    "throws": {"n_throws": 2, "n_steps": 20},
-    "network": {"hidden_layers": 1, "width": 4},
-    "training": {"n_iterations": 10, "batch_size": 16},
-    "ensemble": {"n_members": 2},
-    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [], "n_trials": 1},
-    "rollout": {"n_settle": 5, "n_measure": 20},
-    "evolution": {"n_generations": 4, "afpo": {"population_size": 4}},
-    "transfer": {"n_generations": 2, "adapted_environments": ["dry_land"]},
-    "assess": {"n_designs": 8},
-    "work": {"throws_per_item": 2, "generations_per_item": 2, "engine": "reference"},
-}
-"""A study of real work items, as cheap as possible."""
-
-FULL = TINY | {
-    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [1.0], "n_trials": 1},
-    "ensemble": {"n_members": 1},
-}
-"""A study that also trains a network."""
 
 N_REPORT_FILES = 2
 """Report files that are committed. A report has dozens, which are all alike to the store."""
-
-
-class QuietTerminal:
-    """A terminal and a tracker that say nothing: neither is under test."""
-
-    def say(self, line: str) -> None: ...
-
-    def stage(self, name: str, **counts: Any) -> QuietTerminal:
-        return self
-
-    def __enter__(self) -> QuietTerminal:
-        return self
-
-    def __exit__(self, *error: object) -> None: ...
-
-    def advance(self, work: Work) -> None: ...
-
-    def mirror(self, *runs: Any) -> None: ...
-
-    def stop(self, study: Any, status: str) -> None: ...
 
 
 def run_study(
@@ -83,8 +41,8 @@ def run_study(
         stages=STAGES,
         store=store,
         open_cluster=open_cluster,
-        tracker=QuietTerminal(),
-        progress=QuietTerminal(),
+        tracker=Terminal(),
+        progress=Terminal(),
         how_to_run=lambda name: f"puddle {name}",
     )
 
@@ -97,28 +55,6 @@ class ClusterProxy:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
-
-
-def submissions_of(root: Path) -> Path:
-    """Return the file in which :func:`logged` records submissions: beside the store."""
-    return root.with_suffix(".submitted")
-
-
-@contextlib.contextmanager
-def logged(cluster: AbstractContextManager[Cluster], root: Path) -> Iterator[Cluster]:
-    """Log each work item that a driver submits to a cluster: its key, and whether it was already committed."""
-    with cluster as inner, submissions_of(root).open("a") as log:
-
-        class Logged(ClusterProxy):
-            def submit(
-                self, function: Any, compute: Any, compute_batch: Any, jobs: Any, *rest: Any, **more: Any
-            ) -> Any:
-                for job in jobs:
-                    committed = any(root.glob(f"items/*/{job.key[:2]}/{job.key}/manifest.json"))
-                    print(job.key, "committed" if committed else "missing", file=log, flush=True)
-                return inner.submit(function, compute, compute_batch, jobs, *rest, **more)
-
-        yield Logged(inner)
 
 
 def tree(root: Path) -> dict[str, str]:
@@ -141,8 +77,8 @@ class Record:
 class QuickStudy:
     """A study, and the results of its work items."""
 
-    def __init__(self, document: dict[str, Any]) -> None:
-        self._settings = parse(Settings, yaml.safe_dump(document), name="quick")
+    def __init__(self) -> None:
+        self._settings = parse(Settings, ON_DRY_LAND, name="tiny")
         self._files: dict[str, Any] = {}
         with tempfile.TemporaryDirectory() as folder:
             self.drive(Path(folder) / "store")

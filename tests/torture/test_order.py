@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -12,24 +11,9 @@ import pytest
 import small_study
 
 from pipeline.cluster import Cluster, Outcome, Ticket, ray_cluster, serial_cluster
-from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
-
-TINY = """
-name: tiny
-throws: {n_throws: 6, n_steps: 20}
-network: {hidden_layers: 1, width: 4}
-training: {n_iterations: 20, batch_size: 64}
-ensemble: {n_members: 2}
-grid: {depths: [1.0], single_member_depths: [1.0], n_trials: 2}
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 4, afpo: {population_size: 6}}
-transfer: {n_generations: 3}
-assess: {n_designs: 12}
-work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
-"""
 
 N_STAGES = 6
 """The stages with many work items; the analyses and the page read these and are one work item each."""
@@ -65,7 +49,7 @@ def digests(settings: Settings, store: Store, cluster: Cluster) -> dict[str, lis
 def expected(tmp_path_factory) -> dict[str, list[str]]:
     with serial_cluster() as cluster:
         store = Store.open(tmp_path_factory.mktemp("expected") / "store", create=True)
-        found = digests(parse(Settings, TINY, name="tiny"), store, cluster)
+        found = digests(small_study.tiny(*small_study.ON_REFERENCE), store, cluster)
     assert len(found) > 20
     return found
 
@@ -74,8 +58,7 @@ def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path)
     """One process computes up to eight work items at a time, and returns them in random order.
 
     The workers are simulated: work items are computed one after the other in this process, and only the driver sees
-    them end as if there were several workers. The next tests have real workers: two in `make test`; one, two and eight
-    in `make torture`.
+    them end as if there were several workers. The next test has real ones, and so has tests/pipeline/workflow.
     """
     n_out_of_order = 0
     for number, rng in enumerate(torture.attempts(1, 100)):
@@ -89,36 +72,7 @@ def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path)
 
 def cut(rng: np.random.Generator) -> Settings:
     """Split generations into batches of a random size, up to the whole population."""
-    return parse(Settings, TINY, name="tiny", overrides=(f"work.designs_per_batch={rng.integers(1, 8)}",))
-
-
-PAPER = """
-name: paper
-throws: {n_throws: 6, n_steps: 20}
-network: {hidden_layers: 1, width: 4}
-training: {n_iterations: 20, batch_size: 64}
-ensemble: {n_members: 2}
-grid: {depths: [1.0], environments: [residual_slush], single_member_depths: [], n_trials: 1}
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 4, afpo: {population_size: 6}}
-work: {throws_per_item: 6, generations_per_item: 2, engine: batch}
-"""
-"""A small version of what the paper's preset does on a cluster."""
-
-
-def test_the_same_bytes_from_the_fast_engine_in_batches(torture, local_ray, tmp_path):
-    """Generations under the ensemble: whole in this process, then split over two workers."""
-    (rng,) = torture.attempts(1, 1)
-    cut = f"work.designs_per_batch={rng.integers(1, 6)}"
-    store, found = Store.open(tmp_path / "store", create=True), []
-    with serial_cluster() as serial:
-        for cluster, overrides in ((serial, ()), (Shuffled(local_ray, 2, rng), (cut,))):
-            settings = parse(Settings, PAPER, name="paper", overrides=overrides)
-            upstream = small_study.run(settings, store, cluster, STAGES[:4], say=print)
-            assert not any(results.failed for results in upstream.values())
-            found.append(small_study.digests(upstream))
-            shutil.rmtree(store.root / "items" / "evolve")  # the networks remain
-    assert found[0] == found[1] and any(label.startswith("evolve/residual_slush") for label in found[0])
+    return small_study.tiny(*small_study.ON_REFERENCE, f"work.designs_per_batch={rng.integers(1, 6)}")
 
 
 @pytest.mark.parametrize("n_workers", [1, 2, 8])

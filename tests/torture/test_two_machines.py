@@ -14,17 +14,19 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
 import pytest
 from containers import SMALL_MEMORY, environment_of, words_of
+from marked_processes import Marked, started
+from small_study import run
 
+from pipeline.cluster import serial_cluster
 from pipeline.commands.study_status import digest_lines
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
 from pipeline.store.store import Store
 
 ROOT = Path(__file__).parents[2]
@@ -49,28 +51,13 @@ LOST = "127.0.0.2"
 ADDED = "127.0.0.3"
 """Address of the machine that is added."""
 
-SERIALLY = """
-import sys
-from pathlib import Path
-from small_study import run
-from pipeline.cluster import serial_cluster
-from pipeline.config.loading import parse
-from pipeline.config.settings import Settings
-from pipeline.stages import STAGES
-from pipeline.store.store import Store
-settings = parse(Settings, sys.stdin.read(), name="two")
-with serial_cluster() as cluster:
-    run(settings, Store.open(Path(sys.argv[1]), create=True), cluster, STAGES[:-1])
-"""
-"""The study in one process, without the report."""
-
 
 @pytest.mark.timeout(1200)  # every wait has its own limit
 def test_a_cluster_loses_a_machine_half_way_and_gains_another(torture, short_folder, tmp_path):
     if not torture.large:
         pytest.skip("only with --torture: it takes minutes")
     settings = parse(Settings, STUDY, name="two")
-    expected = serially(STUDY, settings, tmp_path / "expected")
+    expected = serially(settings, tmp_path / "expected")
     n_items = sum(line.endswith("population.safetensors") and "  evolve/" in line for line in expected)
     for number, rng in enumerate(torture.attempts(1, 5)):
         half_way = int(rng.uniform(0.2, 0.3) * n_items)
@@ -83,14 +70,12 @@ def test_a_cluster_loses_a_machine_half_way_and_gains_another(torture, short_fol
         assert any("  report/" in line for line in found)  # it contains the time, and so differs
 
 
-def serially(text: str, settings: Settings, folder: Path) -> list[str]:
-    """Run the study in one process, without the report; return its digests."""
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "shared")])
-    environment = {**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}
-    words = [sys.executable, "-c", SERIALLY, str(folder)]
-    ran = subprocess.run(words, env=environment, input=text, capture_output=True, text=True)
-    assert ran.returncode == 0, ran.stderr
-    return list(digest_lines(settings, Store.open(folder, create=False)))
+def serially(settings: Settings, folder: Path) -> list[str]:
+    """Run the study in this process, without the report; return its digests."""
+    store = Store.open(folder, create=True)
+    with serial_cluster() as cluster:
+        run(settings, store, cluster, STAGES[:-1])
+    return list(digest_lines(settings, store))
 
 
 def on_machines_that_change(folder: Path, half_way: int) -> None:
@@ -114,32 +99,32 @@ def on_machines_that_change(folder: Path, half_way: int) -> None:
 
     def enough() -> bool:
         n_committed = len(list((folder / "store").glob("items/evolve/*/*/manifest.json")))
-        return n_committed >= half_way and evolves(second)
+        return n_committed >= half_way and evolves(second.process)
 
     with contextlib.ExitStack() as stack:
 
-        def start(name: str, words: list[str], environment: dict[str, str]) -> subprocess.Popen:
-            return stack.enter_context(started(folder, name, words, environment))
+        def start(name: str, words: list[str], environment: dict[str, str]) -> Marked:
+            return stack.enter_context(started(words, folder / f"{name}.log", environment, cwd=folder))
 
-        def machine(name: str, ip: str, words: list[str]) -> subprocess.Popen:
+        def machine(name: str, ip: str, words: list[str]) -> Marked:
             own = [f"--temp-dir={folder / name}", f"--node-ip-address={ip}", "--num-cpus=1"]
             return start(name, [*words, *own], of_nodes)
 
         first = machine("a", here, head)
-        wait_for(lambda: answers(here, port), first, folder / "a.log")
+        first.wait_for(lambda: answers(here, port))
         # Each has its own address, as machines do: the driver connects to the node beside it.
         second = machine("b", LOST, worker)
-        wait_for(lambda: "Ray runtime started" in (folder / "b.log").read_text(), second, folder / "b.log")
+        second.wait_for(lambda: "Ray runtime started" in second.said())
         beside = f"ray start --temp-dir={folder / 'd'} --node-ip-address=127.0.0.4"
         own_settings = {'--preset "${PRESET}"': f"--settings {folder / 'two.yaml'}"}
         study = words_of("driver", {"ray start": beside, "head:6379": address, **own_settings, **SMALL_MEMORY})
         of_driver = environment_of("driver", {**token, "PUDDLE_STORE": str(folder / "store"), "PRESET": "smoke"})
         del of_driver["MLFLOW_TRACKING_URI"]  # tests/pipeline/tracking/test_server.py tests the server
         driver = start("driver", study, {**without_token, **of_driver})
-        wait_for(enough, driver, folder / "driver.log", 480)
-        os.killpg(second.pid, signal.SIGKILL)
+        driver.wait_for(enough, 480)
+        os.killpg(second.process.pid, signal.SIGKILL)
         machine("c", ADDED, worker)
-        assert driver.wait(480) == 0, (folder / "driver.log").read_text()
+        assert driver.process.wait(480) == 0, driver.said()
 
 
 def evolves(machine: subprocess.Popen) -> bool:
@@ -161,32 +146,3 @@ def answers(host: str, port: int) -> bool:
         socket.create_connection((host, port), 1).close()
         return True
     return False
-
-
-@contextlib.contextmanager
-def started(folder: Path, name: str, words: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen]:
-    """Start the process of a machine; kill its descendants, which a mark in the environment identifies, at the end."""
-    mark = secrets.token_hex(16)
-    with (folder / f"{name}.log").open("wb") as log:
-        process = subprocess.Popen(
-            words, env={**environment, "PUDDLE_MARK": mark}, cwd=folder, stdout=log, stderr=log, start_new_session=True
-        )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(15)
-        for left in psutil.process_iter():
-            with contextlib.suppress(psutil.Error, OSError):
-                if left.environ().get("PUDDLE_MARK") == mark:
-                    left.kill()
-        process.wait()
-
-
-def wait_for(found: Callable[[], bool], process: subprocess.Popen, log: Path, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while not found():
-        assert process.poll() is None and time.monotonic() < end, log.read_text(errors="replace")
-        time.sleep(0.1)

@@ -1,6 +1,5 @@
 """The two clusters keep one contract; Ray's processes are pinned, closed to strangers, and gone when the study is."""
 
-import contextlib
 import os
 import resource
 import socket
@@ -11,8 +10,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
+from marked_processes import started
 
 from pipeline.cluster import Cluster, Done, Outcome, Spread, TaskFailed, Ticket, ray_cluster, serial_cluster
 from pipeline.errors import PuddleError
@@ -104,22 +103,15 @@ def test_a_task_is_bounded_in_its_memory(cluster):
     assert only(cluster).result != resource.RLIM_INFINITY
 
 
-def test_nothing_submitted_is_nothing_due(cluster):
+def test_nothing_submitted_is_nothing_due_and_a_call_is_named_after_its_function(cluster):
     assert cluster.next_done(timeout=None) is None
-
-
-def test_a_call_is_named_after_its_function(cluster):
-    assert cluster.submit(reciprocal, 1.0).name == "reciprocal"
-    assert cluster.submit(partial(reciprocal, 2.0)).name == "reciprocal"
+    assert cluster.submit(reciprocal, 1.0).name == cluster.submit(partial(reciprocal, 2.0)).name == "reciprocal"
     outcomes(cluster)
 
 
-def test_spread_keeps_the_order_of_its_items(cluster):
+def test_spread_keeps_the_order_of_its_items_and_its_failure_is_the_tasks(cluster):
     cluster.submit(nested, [1.0, 2.0, 4.0, 8.0], 16.0, n_cores=0)
     assert only(cluster) == Done([16.0, 8.0, 4.0, 2.0])
-
-
-def test_a_failure_in_a_spread_is_its_tasks_failure(cluster):
     cluster.submit(nested, [1.0, 0.0, 2.0], 1.0, n_cores=0, name="generation 7")
     failed = only(cluster)
     assert isinstance(failed, TaskFailed) and not failed.infrastructure
@@ -137,52 +129,28 @@ def test_spread_on_ray_uses_other_processes(local_ray):
     assert Spread(lambda _: os.getpid())(range(4)) == [os.getpid()] * 4  # the driver is no worker
 
 
-def test_what_a_spread_shares_is_stored_once_for_all_its_calls(local_ray):
-    def count() -> tuple[int, list[list[float]], int]:
-        import ray as theirs
-
-        stored, put = [], theirs.put
-        theirs.put = lambda value: stored.append(value) or put(value)
-        try:
-            spread = Spread(lambda x, weights: float(x * weights.sum()), np.ones(1000))
-            return len(stored), [spread([1.0, 2.0]) for _ in range(3)], len(stored)
-        finally:
-            theirs.put = put
-
-    local_ray.submit(count, n_cores=0)
-    assert only(local_ray).result == (0, [[1000.0, 2000.0]] * 3, 1)
-
-
 def test_a_spread_within_every_core_does_not_wait_for_itself(local_ray):
     for _ in range(4):
         local_ray.submit(nested, [1.0, 2.0], 1.0, n_cores=1)
     assert in_order(local_ray) == [Done([1.0, 0.5])] * 4
 
 
-def test_a_killed_worker_is_tried_again_once_then_reported(local_ray, tmp_path):
-    def die(log: Path) -> None:
-        with log.open("a") as file:
-            file.write("tried\n")
-        os._exit(1)
-
-    local_ray.submit(die, tmp_path / "log", name="the dying one")
-    local_ray.submit(reciprocal, 2.0)
-    failed, done = in_order(local_ray)
-    assert isinstance(failed, TaskFailed) and failed.infrastructure
-    assert "the dying one" in str(failed) and "WorkerCrashedError" in str(failed)
-    assert (tmp_path / "log").read_text() == "tried\n" * 2
-    assert done == Done(0.5)
-
-
-def test_an_exception_is_not_tried_again(local_ray, tmp_path):
+@pytest.mark.parametrize(("dies", "n_attempts"), [(True, 2), (False, 1)])
+def test_a_killed_worker_is_tried_again_once_and_an_exception_is_not(dies, n_attempts, local_ray, tmp_path):
     def fail(log: Path) -> None:
         with log.open("a") as file:
             file.write("tried\n")
+        if dies:
+            os._exit(1)
         raise ValueError("no")
 
-    local_ray.submit(fail, tmp_path / "log")
-    assert isinstance(only(local_ray), TaskFailed)
-    assert (tmp_path / "log").read_text() == "tried\n"
+    local_ray.submit(fail, tmp_path / "log", name="the failing one")
+    local_ray.submit(reciprocal, 2.0)
+    failed, done = in_order(local_ray)
+    assert isinstance(failed, TaskFailed) and failed.infrastructure == dies
+    assert "the failing one" in str(failed) and ("WorkerCrashedError" if dies else "ValueError: no") in str(failed)
+    assert (tmp_path / "log").read_text() == "tried\n" * n_attempts
+    assert done == Done(0.5)
 
 
 def test_cancelled_calls_stop_and_give_nothing(local_ray, tmp_path):
@@ -315,23 +283,10 @@ with ray_cluster(n_workers=1) as cluster:
 
 
 @pytest.mark.parametrize("server", ["raylet", "gcs_server"])
-def test_the_death_of_a_server_is_reported_at_once_and_leaves_no_process(server):
-    begin, environment = time.monotonic(), os.environ | {"PUDDLE_MARK": "dies"}
-    ran = subprocess.run(
-        [sys.executable, "-c", DIES, server], cwd=ROOT, env=environment, capture_output=True, text=True
-    )
-    assert time.monotonic() - begin < 120.0
-    assert "Ray on this machine died" in ran.stderr and ran.stdout == ""
-    end = time.monotonic() + 60.0
-    while [one for one in psutil.process_iter() if _is_marked(one)]:
-        assert time.monotonic() < end
-        time.sleep(0.5)
-
-
-def _is_marked(process: psutil.Process) -> bool:
-    with contextlib.suppress(psutil.Error):
-        return process.environ().get("PUDDLE_MARK") == "dies" and process.status() != psutil.STATUS_ZOMBIE
-    return False
+def test_the_death_of_a_server_is_reported_at_once_and_leaves_no_process(server, tmp_path):
+    with started([sys.executable, "-c", DIES, server], tmp_path / "log", dict(os.environ), cwd=ROOT) as driver:
+        driver.wait_for(driver.ended, 180.0)
+        assert "Ray on this machine died" in driver.said()
 
 
 LOSES_A_MACHINE = """
@@ -377,23 +332,18 @@ def test_another_machine_takes_over_the_calls_of_one_that_is_lost(tmp_path):
     assert sorted(number for number, _, _ in machines) == ["0", "0", "1", "2"]
 
 
-@pytest.mark.parametrize("where", ["ray://head:10001", "nowhere", "host:99999", "http://host:80"])
-def test_what_is_no_address_of_a_cluster_is_refused(where: str):
+@pytest.mark.parametrize("where", ["ray://head:10001", "nowhere", "host:99999", "http://host:80", "127.0.0.1:{free}"])
+def test_what_is_no_address_of_a_cluster_is_refused_at_once(where: str):
     """``ray://`` is Ray Client's, which is not among what is installed."""
-    with pytest.raises(PuddleError, match="expected host:port or auto") as refused, ray_cluster(where):
-        pass
-    assert where in str(refused.value) and "--address" in str(refused.value)
-
-
-def test_an_address_where_nothing_answers_is_refused_at_once():
     with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        where = f"127.0.0.1:{listener.getsockname()[1]}"
-    begin = time.monotonic()
-    with pytest.raises(PuddleError, match="nothing answers there") as unreachable, ray_cluster(where):
-        pass
-    assert time.monotonic() - begin < 20.0  # Ray itself tries for minutes
-    assert where in str(unreachable.value) and "--address" in str(unreachable.value)
+        listener.bind(("127.0.0.1", 0))  # nothing answers there: Ray itself tries for minutes
+        said = "nothing answers there" if "{" in where else "expected host:port or auto"
+        where = where.format(free=listener.getsockname()[1])
+        begin = time.monotonic()
+        with pytest.raises(PuddleError, match=said) as refused, ray_cluster(where):
+            pass
+    assert time.monotonic() - begin < 20.0
+    assert where in str(refused.value) and "--address" in str(refused.value)
 
 
 def test_no_workers_is_refused():

@@ -3,19 +3,15 @@
 import contextlib
 import os
 import re
-import secrets
 import signal
 import socket
-import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
-import psutil
 import pytest
 from containers import DOCKER, SMALL_MEMORY
+from marked_processes import Marked, started
 from small_study import ON_DRY_LAND
 
 from pipeline.commands.study_status import digest_lines
@@ -52,6 +48,7 @@ test "$1 $2 $3" = "show hostnames node[1-2]" && printf '%s\\n' FIRST other
 RAY = """#!/bin/sh
 test "$1" = health-check && { grep -q -e --head ray.log; exit; }
 test -e broken && exit 1
+echo "$RAY_AUTH_TOKEN" >> tokens.log
 echo "$@" >> ray.log
 trap 'echo ended >> ray.log; exit 0' TERM
 while :; do sleep 0.05; done
@@ -74,17 +71,6 @@ def place(tmp_path) -> Path:
     return tmp_path
 
 
-class Job(NamedTuple):
-    """The script's process, and the mark in the environment of every process that it starts."""
-
-    process: subprocess.Popen[bytes]
-    mark: str
-
-    def ended(self) -> bool:
-        """Return whether the script has ended and has left no process behind."""
-        return self.process.poll() is not None and not list(marked(self.mark))
-
-
 def write(place: Path, **programs: str) -> None:
     for name, text in programs.items():
         (place / "bin" / name).write_text(text)
@@ -92,43 +78,20 @@ def write(place: Path, **programs: str) -> None:
 
 
 @contextlib.contextmanager
-def submitted(place: Path, *words: str, number: int, script: Path = SCRIPT, n_nodes: int = 2) -> Iterator[Job]:
+def submitted(place: Path, *words: str, number: int, script: Path = SCRIPT, n_nodes: int = 2) -> Iterator[Marked]:
     """Run the script as Slurm would; kill what is left of it at the end."""
-    mark = secrets.token_hex(16)
     ours = {name: value for name, value in os.environ.items() if not name.startswith(("RAY_", "PUDDLE_", "MLFLOW_"))}
     ours |= {
         "PATH": os.pathsep.join([str(place / "bin"), str(Path(sys.executable).parent), os.environ["PATH"]]),
         "PYTHONPATH": str(ROOT),
-        "PUDDLE_MARK": mark,
         "MLFLOW_TRACKING_URI": "http://127.0.0.1:1",  # no server: a study without MLflow takes four core-seconds less
         "SLURM_SUBMIT_DIR": str(place),
         "SLURM_JOB_ID": str(number),
         "SLURM_JOB_NODELIST": "node[1-2]",
         "SLURM_JOB_NUM_NODES": str(n_nodes),
     }
-    with (place / "job.log").open("wb") as log:
-        process = subprocess.Popen(["bash", script, *words], env=ours, stdout=log, stderr=log)
-    try:
-        yield Job(process, mark)
-    finally:
-        for left in marked(mark):
-            with contextlib.suppress(psutil.Error):
-                left.kill()
-        process.wait()
-
-
-def marked(mark: str) -> Iterator[psutil.Process]:
-    for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error, OSError):
-            if process.environ().get("PUDDLE_MARK") == mark and process.status() != psutil.STATUS_ZOMBIE:
-                yield Job(process, mark)
-
-
-def wait_for(found: Callable[[], object], place: Path, seconds: float = 30.0) -> None:
-    end = time.monotonic() + seconds
-    while not found():
-        assert time.monotonic() < end, (place / "job.log").read_text()
-        time.sleep(0.05)
+    with started(["bash", script, *words], place / "job.log", ours) as job:
+        yield job
 
 
 @pytest.mark.timeout(600)
@@ -145,11 +108,9 @@ def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(place):
     script.write_text(SCRIPT.read_text().replace(option, small).replace("puddle study", "puddle evolve"))
     assert small in script.read_text() and "puddle evolve" in script.read_text()
     with submitted(place, "--settings", "tiny.yaml", "--store", "store", number=number, script=script) as job:
-        wait_for(lambda: job.process.poll() is not None, place, 500)
-        said = (place / "job.log").read_text()
-        assert job.process.returncode == 0, said
-        assert said.count("Ray runtime started") == 2, said
-        wait_for(job.ended, place)
+        job.wait_for(job.ended, 500)
+        assert job.process.returncode == 0, job.said()
+        assert job.said().count("Ray runtime started") == 2, job.said()
     assert not Path(f"/tmp/puddle-{number}").exists()
     first, other = (place / "srun.log").read_text().splitlines()
     assert "--nodes=1 " in first and "--nodelist=" in first and "--nodes=1 " in other and "--exclude=" in other
@@ -157,33 +118,29 @@ def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(place):
     assert any("  evolve/" in line for line in digest_lines(parse(Settings, ON_DRY_LAND, name="tiny"), store))
 
 
-def test_the_exit_code_is_that_of_the_study_and_the_steps_end(place):
+@pytest.mark.parametrize("n_nodes", [1, 2])
+def test_the_exit_code_is_that_of_the_study_and_the_steps_end(n_nodes, place):
     write(place, ray=RAY, puddle=PUDDLE)
-    with submitted(place, "--preset", "paper", number=7) as job:
-        wait_for(job.ended, place)
-        assert job.process.returncode == 1, (place / "job.log").read_text()
+    with submitted(place, "--preset", "paper", number=7, n_nodes=n_nodes) as job:
+        job.wait_for(job.ended)
+        assert job.process.returncode == 1, job.said()
     assert (place / "puddle.log").read_text() == f"study --preset paper --address {HERE}:20007\n"
+    assert len((place / "srun.log").read_text().splitlines()) == n_nodes
     lines = (place / "ray.log").read_text().splitlines()
-    assert sorted(lines)[:2] == ["ended", "ended"] and len(lines) == 4
-    assert any("--head --port=20007" in line for line in lines) and any(
-        f"--address={HERE}:20007" in line for line in lines
-    )
+    assert sorted(lines)[:n_nodes] == ["ended"] * n_nodes and len(lines) == 2 * n_nodes
+    assert any("--head --port=20007" in line for line in lines)
+    assert any(f"--address={HERE}:20007" in line for line in lines) == (n_nodes == 2)
+    (token,) = set((place / "tokens.log").read_text().split())  # of this job alone
+    assert re.fullmatch("[0-9a-f]{64}", token) and token not in job.said()
     assert all("--temp-dir=/tmp/puddle-7 --num-cpus=1" in line for line in lines if line != "ended")
-
-
-def test_one_node_has_no_other_step(place):
-    write(place, ray=RAY, puddle=PUDDLE)
-    with submitted(place, number=8, n_nodes=1) as job:
-        wait_for(job.ended, place)
-    assert len((place / "srun.log").read_text().splitlines()) == 1
 
 
 def test_the_signal_before_the_time_limit_stops_the_driver_first(place):
     write(place, ray=RAY, puddle=PUDDLE)
     with submitted(place, "waits", number=9) as job:
-        wait_for((place / "puddle.log").exists, place)
+        job.wait_for((place / "puddle.log").exists)
         job.process.send_signal(signal.SIGTERM)
-        wait_for(job.ended, place)
+        job.wait_for(job.ended)
         assert job.process.returncode == 143
     assert (place / "puddle.log").read_text().endswith("stopped\n")
     assert (place / "ray.log").read_text().endswith("ended\nended\n")
@@ -193,15 +150,7 @@ def test_a_head_that_does_not_start_ends_the_job_with_a_message(place):
     write(place, ray=RAY, puddle=PUDDLE)
     (place / "broken").touch()
     with submitted(place, number=10) as job:
-        wait_for(job.ended, place)
+        job.wait_for(job.ended)
         assert job.process.returncode == 2
-    assert "Ray's head did not start on" in (place / "job.log").read_text()
+    assert "Ray's head did not start on" in job.said()
     assert not (place / "puddle.log").exists()
-
-
-def test_every_job_has_a_token_of_its_own_and_kills_no_other_ray():
-    script = SCRIPT.read_text()
-    commands = "\n".join(line for line in script.splitlines() if not line.startswith("#"))
-    assert "ray stop" not in commands and "symmetric-run" not in commands and "/dev/urandom" in commands
-    assert re.search(r"^unset .*RAY_AUTH_TOKEN_PATH", commands, flags=re.M)
-    assert "RAY_AUTH_MODE=token" in commands and not re.search(r"(echo|printf).*TOKEN", commands)
