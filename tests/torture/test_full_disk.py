@@ -31,7 +31,7 @@ def test_a_disk_of_any_size_that_fills(torture, tiny, new_folder):
                 assert "No space left on device" in str(error) and str(disk) in str(error)
                 assert "Committed results are safe" in str(error)
                 committed = [path.parent.name for path in disk.glob("store/items/*/*/*/manifest.json")]
-                subprocess.run(["mount", "-o", "remount,size=64m", "tmpfs", disk], check=True)
+            subprocess.run(["mount", "-o", "remount,size=64m", "tmpfs", disk], check=True)
             after = tiny.drive(disk / "store")
             assert not set(after.computed) & set(committed)
             assert tree(disk / "store") == tree(undisturbed)
