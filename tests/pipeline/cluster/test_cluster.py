@@ -226,7 +226,7 @@ def test_a_stranger_without_the_token_is_refused(local_ray):
 
 
 def test_an_existing_cluster_is_sent_the_packages(local_ray, tmp_path):
-    """A driver elsewhere joins by address; its workers import what it sent, also under `uv run` and behind a proxy."""
+    """A driver elsewhere joins by address, behind a proxy, too; its workers import what it sent."""
     driver = """
 import sys
 from pipeline.cluster import prepare_process, ray_cluster
