@@ -22,7 +22,7 @@ VARIANTS = {
 AS_BUILT = Physics(**VARIANTS["locked, colliding"], max_motor_torque=30.0)
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="slow in Python; test_engine.py has a short one")
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="slow in Python; test_batch.py has a short one")
 
 
 @pytest.fixture(params=VARIANTS.values(), ids=VARIANTS)
