@@ -1,6 +1,9 @@
-"""Choices that were added to settings: older results keep their JSON, and so their keys."""
+"""Parameters: what is impossible is refused by name, and choices that were added leave older results their keys."""
 
-from tasks.design import Mutation
+import pytest
+from pydantic import ValidationError
+
+from tasks.design import Morphology, Mutation
 from tasks.evolution import Afpo
 from tasks.parameters import Parameters, later_choice
 from tasks.world import Physics, RandomisedSlushes, Slush
@@ -21,3 +24,17 @@ def test_json_omits_a_later_choice_where_it_has_its_default():
 def test_what_the_paper_leaves_open_is_not_in_the_json_of_what_was_computed_before():
     before = {Physics: 11, Slush: 3, RandomisedSlushes: 5, Mutation: 3, Afpo: 5}  # fields that these groups had
     assert {group: len(group().model_dump(mode="json")) for group in before} == before
+
+
+IMPOSSIBLE = {
+    Morphology: [{"n_actuated": 6}, {"n_actuated": -1}, {"unjoined_links": "near"}, {"max_joint_speed": 0.0}],
+    Mutation: [{"genes_changed": -1}, {"genes_changed": 38}, {"step": 0}, {"rewiring": 1.1}, {"rewire": 0.1}],
+    Afpo: [{"random_share": 0.5}, {"population_size": 1}, {"mutation_share": -0.1}, {"elitism": True}],
+    Slush: [{"density": -1}, {"linear_drag": float("nan")}, {"viscosity": 1}],
+}
+
+
+@pytest.mark.parametrize(("group", "setting"), [(group, of) for group, every in IMPOSSIBLE.items() for of in every])
+def test_what_is_impossible_is_refused_by_name(group, setting):
+    with pytest.raises(ValidationError, match=next(iter(setting))):
+        group(**setting)

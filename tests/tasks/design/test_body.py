@@ -22,28 +22,6 @@ def along(x: np.ndarray, y: np.ndarray, angle: np.ndarray, distance: np.ndarray)
     return np.stack([x - np.sin(angle) * distance, y + np.cos(angle) * distance], axis=-1)
 
 
-def corners(
-    x: np.ndarray, y: np.ndarray, angle: np.ndarray, half_width: np.ndarray, half_height: np.ndarray
-) -> np.ndarray:
-    """World places (..., 4, 2) of the corners of rectangles, by rotation matrices."""
-    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    local = signs * np.stack([half_width, half_height], axis=-1)[..., None, :]
-    cos, sin = np.cos(angle), np.sin(angle)
-    rotation = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), (0, 1), (-2, -1))
-    return np.einsum("...ij,...kj->...ki", rotation, local) + np.stack([x, y], axis=-1)[..., None, :]
-
-
-def test_the_root_is_upright_at_the_origin_of_x_and_the_lowest_corner_at_zero(designs: Designs) -> None:
-    trees = kinematic_trees(designs, density=1.0)
-    assert (trees.x[:, 0] == 0).all()
-    assert (trees.angle[:, 0] == 0).all()
-    lowest = corners(
-        *(getattr(trees, name).astype(np.float64) for name in ("x", "y", "angle", "half_width", "half_height"))
-    )[..., 1].min(axis=(1, 2))
-    # Rounding of y (up to 36 m), of half a diagonal (1.6 m) and of the angle (5π) that turns it.
-    np.testing.assert_allclose(lowest, 0, atol=HALF_ULP * (36 + 1.6 + 5 * np.pi * 1.6))
-
-
 def test_a_body_worked_out_by_hand() -> None:
     # The root is 2 m high, links 1 to 5 are squares of 1 m. Link 1 hangs with its lower end from the root's top,
     # turned by +90°: its long axis points to -x. Link 2 goes on from its far end in the same direction. Link 3 turns

@@ -21,22 +21,6 @@ def with_value(designs: Designs, name: str, index: object, value: object) -> Des
     return replace(designs, **{name: array})
 
 
-def test_the_bounds_are_the_papers_and_angles_wrap() -> None:
-    bounds = {gene.name: (gene.part, gene.low, gene.high, gene.unit) for gene in GENES}
-    kinds = {gene.name: gene.kind for gene in GENES if gene.kind != "interval"}
-    assert kinds == {"rest_angle": "angle", "phase": "angle", "motor_on": "flag"}
-    assert bounds == {
-        "length_scale": ("body", 1.0, 3.0, "m"),
-        "parent_attachment": ("body", -1.0, 1.0, "half heights"),
-        "child_attachment": ("body", -1.0, 1.0, "half heights"),
-        "rest_angle": ("body", -np.pi, np.pi, "rad"),
-        "phase": ("control", 0.0, 2 * np.pi, "rad"),
-        "motion_range": ("control", 0.2, np.pi / 2, "rad"),
-        "motor_on": ("control", 0.0, 1.0, ""),
-        "frequency": ("control", 0.0, 0.3, "Hz"),
-    }
-
-
 @pytest.mark.parametrize("name", [name for name in Designs.__dataclass_fields__ if name != "frequency"])
 @pytest.mark.parametrize("shape", [(5, N_LINKS - 1), (4, N_LINKS), (5,), (5, N_LINKS, 1)])
 def test_a_wrong_shape_is_refused_by_name(designs: Designs, name: str, shape: tuple[int, ...]) -> None:
@@ -62,9 +46,6 @@ def test_indexing_chooses_designs(designs: Designs) -> None:
     np.testing.assert_array_equal(designs[[4, 4, 0]].phase, designs.phase[[4, 4, 0]])
     with pytest.raises(IndexError):
         designs[5]
-
-
-def test_parts_of_designs_join_again(designs: Designs) -> None:
     assert concatenate([designs[:2], designs[2:]]).equals(designs)
 
 

@@ -7,11 +7,8 @@ from both_engines import Slushes, assert_equal_in_plain_python, networks
 
 from tasks.design import Designs, random_designs
 from tasks.simulation import DIVERGED, OK, batch, simulate
-from tasks.simulation.rigid_bodies import engine
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import step
-from tasks.simulation.trees.groups import Groups
-from tasks.simulation.trees.layout import OMEGA, VX
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
@@ -75,31 +72,6 @@ def test_every_order_size_and_number_of_lanes_gives_the_same_bits(designs: Desig
         np.testing.assert_array_equal(ends(designs[-n_designs:]), whole[:, -n_designs:])
     for n_lanes in (widest() // 2, 1) if physics is TREES else ():  # see test_lanes.py for all operations on numbers
         np.testing.assert_array_equal(ends(designs, n_lanes=n_lanes), whole)
-
-
-@compiled_only
-@either_engine
-@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 3e38])
-@pytest.mark.parametrize("angular", [False, True])
-def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, physics, poison, angular):
-    scene, victim = batch.scene_of(TrueSlush(0.5), physics), 21  # with neighbours on either side
-    if physics is TREES:
-        clean, spoiled = (Groups(designs, physics, n_members=1, n_lanes=widest()) for _ in range(2))
-    else:
-        clean, spoiled = (engine.Robots(designs, 0.5, physics, n_members=1) for _ in range(2))
-    for each in (clean, spoiled):
-        each.advance(scene, 0, 60, None)
-    if physics is TREES:
-        group, lane = divmod(victim, widest())
-        spoiled.blocks[group, OMEGA + 3 if angular else VX, lane] = poison
-    else:
-        spoiled.records["bodies"]["w" if angular else "v_x"][victim, 0] = poison
-    for each in (clean, spoiled):
-        each.advance(scene, 60, 90, None)
-    others = np.arange(N_DESIGNS) != victim
-    assert np.isfinite(clean.poses()).all()
-    assert np.isnan(spoiled.poses()[victim]).all() or np.isfinite(poison)
-    np.testing.assert_array_equal(spoiled.poses()[others], clean.poses()[others])
 
 
 @compiled_only

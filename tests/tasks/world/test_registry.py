@@ -1,6 +1,7 @@
 """The registry of environments: what a medium's file registers is what settings accept and what gets built."""
 
 import dataclasses
+import re
 
 import pytest
 from pydantic import TypeAdapter, ValidationError
@@ -58,3 +59,10 @@ def test_a_name_is_registered_once() -> None:
     with pytest.raises(ValueError, match="environment 'dry_land' is registered twice"):
         register(dataclasses.replace(ENVIRONMENTS["dry_land"], label="Another"))
     assert dict(ENVIRONMENTS) == registered
+
+
+@pytest.mark.parametrize("depth", [-1e-9, -9, float("nan"), float("inf"), True, "1", None])
+def test_other_depths_are_refused(depth) -> None:
+    message = f"depth is {depth!r}, expected a finite number of metres, at least 0"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        DryLand(depth)

@@ -66,24 +66,6 @@ def test_every_operation_equals_numpy_s_in_every_lane(numbers):
         np.testing.assert_array_equal(out.rows, expected[:, :width])
 
 
-@inline
-def square_and_add(x, y):
-    return x * x + y
-
-
-@numba.njit
-def nothing_contracted(block):
-    block[2] = square_and_add(block[0], block[1])
-
-
-def test_a_product_is_rounded_before_it_is_added():
-    # (1 + 2^-12)² = 1 + 2^-11 + 2^-24: rounded to even on its own it loses the last term, fused it would not.
-    block = Block(3, 16)
-    block.rows[0], block.rows[1] = 1 + 2.0**-12, -(1 + 2.0**-11)
-    nothing_contracted(block)
-    assert (block.rows[2] == 0).all()
-
-
 @numba.njit
 def fused(block, out):
     a, b, c = to_double(block[0]) / 3.0, to_double(block[1]) / 7.0, to_double(block[2]) / 11.0
