@@ -27,14 +27,14 @@ _LINKS = 6
 _SECONDS_PER_STEP = {"batch": 0.2e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
 _SECONDS_PER_MEMBER_STEP = 0.35e-6  # of one robot under one network, besides the network's arithmetic
 _FLOPS_OF_INFERENCE = 190e9  # per second
-_FLOPS_OF_TRAINING = {"cpu": 50e9, "cuda": 30e12}  # per second
+_FLOPS_OF_TRAINING = {"cpu": 70e9, "cuda": 30e12}  # per second
 _PASSES_OF_TRAINING = 3  # forward, and twice as much backward
-_SECONDS_PER_ITERATION = 0.3e-3  # of training, besides arithmetic
+_SECONDS_PER_ITERATION = 0.15e-3  # of training, besides arithmetic
 _SECONDS_PER_THROW_STEP = 0.1e-6
 _SECONDS_PER_PICTURE = 4.4e-3
 _SECONDS_PER_ITEM = {
-    "collect": 1.0,
-    "train": 4.0,
+    "collect": 0.3,
+    "train": 1.0,
     "pilot": 4.0,
     "analyse": 1.0,
 }  # to import torch and the like; else as below

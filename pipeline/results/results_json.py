@@ -59,6 +59,7 @@ def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
             for row in _rows(page, "paper", lambda row: True)
         ],
         "variance": _rows(page, "variance", lambda row: row.n_replicates > 1),
+        "luck": _rows(page, "luck", lambda row: True),
         "champions": [
             {name: _rounded(getattr(row, name)) for name in (*_TRIAL, *_SCORES)}
             | {"digests": of_trials.get(tuple(getattr(row, name) for name in _TRIAL), {})}

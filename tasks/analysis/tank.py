@@ -30,12 +30,13 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from tasks.arrays import Float64
-from tasks.design import Designs, concatenate
+from tasks.design import Designs, concatenate, jittered
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts
 from tasks.world import froude_time
 
-_JITTER = 1e-4  # change of each attachment [half heights]: at most 0.01 mm if a metre is built as 70 mm
+_JITTER = dict.fromkeys(("parent_attachment", "child_attachment"), 1e-4)
+"""Change of each attachment [half heights]: at most 0.01 mm if a metre is built as 70 mm."""
 
 
 class Tank(Parameters):
@@ -143,20 +144,9 @@ def restarted(design: Designs, n: int, rng: Generator) -> Designs:
     """
     begun = [
         replace(again, phase=(again.phase + rng.uniform(0.0, 2 * np.pi)) % (2 * np.pi))
-        for again in (jittered(design, rng) for _ in range(n - 1))
+        for again in (jittered(design, rng, _JITTER) for _ in range(n - 1))
     ]
     return concatenate([design, *begun])
-
-
-def jittered(designs: Designs, rng: Generator) -> Designs:
-    """Return designs with every attachment moved up or down, or inwards at a gene's bound."""
-    moved = {}
-    for name in ("parent_attachment", "child_attachment"):
-        attachment = getattr(designs, name)
-        step = np.where(rng.random(attachment.shape) < 0.5, -_JITTER, _JITTER)
-        step = np.where(np.abs(attachment + step) > 1, -step, step)
-        moved[name] = np.concatenate((attachment[:, :1], (attachment + step)[:, 1:]), axis=1)  # a root has none
-    return replace(designs, **moved)
 
 
 def count_crossings(trials: Sequence[Crossing], tank: Tank) -> TankTrials:

@@ -6,8 +6,8 @@ adaptation.
 Designs that a morphology does not allow are rejected and drawn anew. variation_kernels.py has the compiled operators.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.random import Generator
 from pydantic import Field
 
-from tasks.arrays import Int64
+from tasks.arrays import Float64, Int64
 from tasks.compiled import compiled
 from tasks.design import variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
@@ -227,3 +227,21 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
             controller of the other; where gaits are constrained, it is a copy of one. Both are allowed.
     """
     return Sampler(rng, variation_of(morphology), morphology).recombinations((one.table, other.table)).designs
+
+
+def jittered(designs: Designs, rng: Generator, shifts: Mapping[str, float | Float64]) -> Designs:
+    """Return designs with genes of every joint moved up or down, or inwards at a gene's bound.
+
+    Args:
+        designs: n_designs designs.
+        rng: source of randomness, which decides the way.
+        shifts: how far, by the gene's name, in its unit: one number, or (n_designs, n_links).
+    """
+    bounds = {gene.name: (gene.low, gene.high) for gene in GENES}
+    moved = {}
+    for name, shift in shifts.items():
+        value, (low, high) = getattr(designs, name), bounds[name]
+        step = np.where(rng.random(value.shape) < 0.5, -1.0, 1.0) * shift
+        step = np.where((value + step < low) | (value + step > high), -step, step)
+        moved[name] = np.concatenate((value[:, :1], (value + step)[:, 1:]), axis=1)  # a root has no joint
+    return replace(designs, **moved)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from varied_designs import BODY, NO_REWIRING, binomial_interval, canonical, is_canonical, mutations, numbers, seeds
 
-from tasks.design import GENES, N_LINKS, Designs, Mutation, check, crossover, mutate, random_designs
+from tasks.design import GENES, N_LINKS, Designs, Mutation, check, crossover, jittered, mutate, random_designs
 from tasks.design.genes import N_GENES
 
 sizes = st.integers(0, 40)
@@ -161,3 +161,15 @@ def test_a_child_takes_whole_links_from_one_or_the_other() -> None:
     frequency_from_one = child.frequency == one.frequency
     assert (frequency_from_one | (child.frequency == other.frequency)).all()
     assert low <= frequency_from_one.sum() <= high
+
+
+@given(n=sizes, seed=seeds)
+def test_jitter_moves_every_joint_by_its_shift_and_none_out_of_bounds(n: int, seed: int) -> None:
+    designs = at_bounds(np.random.default_rng(seed), n)
+    moved = jittered(designs, np.random.default_rng(seed), {"child_attachment": 0.1, "rest_angle": 0.01})
+    check(moved)
+    for name, array in designs.arrays():
+        shift = np.abs(getattr(moved, name).astype(float) - array)
+        expected = {"child_attachment": 0.1, "rest_angle": 0.01}.get(name, 0.0)
+        np.testing.assert_allclose(shift[:, 1:] if array.ndim == 2 else shift, expected, atol=1e-12)
+        assert array.ndim == 1 or not shift[:, 0].any()

@@ -1,0 +1,82 @@
+"""Winner's luck: every champion again, from starts that differ by a millimetre and a milliradian.
+
+A rollout repeats itself exactly. A champion of True Slush is the best of all scores of one start, so its score has luck
+in it that the next start has not, whereas True Slush is new to the champions of every other environment.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.analysis.estimates import Estimate, Mean, Sample, mean_of, ratio, sample_of, sum_of_means
+from tasks.analysis.registry import Champion, OfArm, StudyData, analysis, column, percent
+from tasks.analysis.scores import BEST, arms
+from tasks.arrays import Float64
+from tasks.design import Designs, concatenate, jittered
+
+N_STARTS = 32
+_SHIFT, _TURN = 1e-3, 1e-3  # of every joint along its links [m], and of its angle [rad]
+
+
+@dataclass(frozen=True)
+class LuckRow(OfArm):
+    """The champions of one environment at one depth, scored zero-shot from one start and from many."""
+
+    n: int = column("n", form="{}", meaning="Champions with a finite score from every start.")
+    one: Mean = column("one start", "m", meaning="Zero-shot, as in every other table.")
+    again: Mean = column(f"{N_STARTS} starts", "m", meaning="Mean over starts that differ by 1 mm and 1 mrad a joint.")
+    luck: Estimate = column("luck", "m", form="{:z.2f}", meaning="One start minus the mean over many.")
+    share: Estimate = column("of E", form=percent, meaning=f"{N_STARTS} starts of either.")
+
+
+@analysis(
+    "luck",
+    row=LuckRow,
+    reads=("transfer",),
+    answers="How much of a champion's score in True Slush is the luck of one start?",
+    section="transfer",
+    cost=N_STARTS,
+)
+def luck(study: StudyData) -> list[LuckRow]:
+    """Score the champions again, arm by arm, the greatest depth first."""
+    replicate = {(one.environment, one.depth, one.trial): one.replicate for one in study.trials}
+    scored: dict[tuple[str, float], tuple[Sample, Sample]] = {}  # from one start, and over all starts
+    for arm in arms(study.trials):
+        own = [champion for champion in study.champions if (champion.environment, champion.depth) == arm]
+        one, many = np.array([champion.zero_shot for champion in own]), scored_again(study, own)
+        of = np.array([replicate[champion.environment, champion.depth, champion.trial] for champion in own], np.int64)
+        known = np.isfinite(one) & np.isfinite(many)
+        scored[arm] = sample_of(one[known], of[known]), sample_of(many[known], of[known])
+    rows = []
+    for arm, (first, again) in scored.items():
+        lost = share = Estimate(None)
+        if len(again):
+            lost = sum_of_means(Sample(first.values - again.values, first.replicate))
+            if best := scored.get((BEST[0], arm[1])):
+                share = ratio(again, best[1], rng=study.rng("luck", *arm))
+        rows.append(LuckRow(*arm, len(again), mean_of(first.values), mean_of(again.values), lost, share))
+    return rows
+
+
+def scored_again(study: StudyData, champions: Sequence[Champion]) -> Float64:
+    """Return (n_champions,) mean displacements of champions of one depth over the starts [m]; NaN if one diverged."""
+    if not champions:
+        return np.empty(0)
+    starts = concatenate([moved_joints(study, champion) for champion in champions])
+    displacement = study.simulate(study.true_slush(champions[0].depth), starts).displacement
+    means: Float64 = displacement.reshape(len(champions), N_STARTS).mean(axis=1)
+    return means
+
+
+def moved_joints(study: StudyData, champion: Champion) -> Designs:
+    """Return N_STARTS copies of a champion with every joint a millimetre and a milliradian off, either way."""
+    rng = study.rng("luck", champion.environment, champion.depth, str(champion.trial))
+    copies = concatenate([champion.design] * N_STARTS)
+    length = copies.length_scale
+    shifts = {
+        "parent_attachment": _SHIFT / (np.take_along_axis(length, np.maximum(copies.parent, 0), axis=1) / 2),
+        "child_attachment": _SHIFT / (length / 2),
+        "rest_angle": np.full_like(length, _TURN),
+    }
+    return jittered(copies, rng, shifts)
