@@ -7,7 +7,7 @@ import pytest
 
 from tasks.analysis.registry import Champion
 from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.luck import N_STARTS, luck, moved_joints
+from tasks.analysis.tables.transfer_luck import N_STARTS, luck, moved_joints
 from tasks.design import random_designs, rest_pose
 from tasks.simulation import simulate
 from tasks.world import TrueSlush

@@ -34,7 +34,7 @@ class LuckRow(OfArm):
     "luck",
     row=LuckRow,
     reads=("transfer",),
-    answers="How much of a champion's score in True Slush is the luck of one start?",
+    answers="How much of a score in True Slush is luck: from one start, and over starts that are a millimetre off?",
     section="transfer",
     cost=N_STARTS,
 )
