@@ -48,12 +48,23 @@ def _message(what: str, name: str, read: str, write: str) -> str:
     )
 
 
-def _two_points(time: str, x: Sequence[str], y: Sequence[str]) -> str:
-    """Return a table of the pose of a bar from the coordinates of its lower and its upper point."""
-    return (
-        f"pandas.DataFrame({{'throw': 0, 'time': {time}, 'x': ({x[0]} + {x[1]}) / 2, 'y': ({y[0]} + {y[1]}) / 2, "
-        f"'angle': numpy.arctan2({x[0]} - {x[1]}, {y[1]} - {y[0]})}})"
-    )
+def _poses(time: str, pose: str) -> str:
+    """Return a table of poses, without the frames in which the bar or a point of it was lost."""
+    return f"pandas.DataFrame({{'throw': 0, 'time': {time}, {pose}}}).dropna()"
+
+
+def _of_points(what: str, name: str, read: str, time: str, points: Sequence[tuple[object, object]]) -> str | None:
+    """Return a message whose lines give the pose of a bar from the columns x and y of a lower and an upper point."""
+    if not points:
+        return None
+    if len(points) == 1:
+        return (
+            f"{name}: recognised {what} with one point, which has no angle: track a lower and an upper point of a bar"
+        )
+    (x_low, y_low), (x_up, y_up) = [(f"t[{x!r}]", f"t[{y!r}]") for x, y in points[:2]]
+    centre = f"'x': ({x_low} + {x_up}) / 2, 'y': ({y_low} + {y_up}) / 2"
+    write = _poses(time, f"{centre}, 'angle': numpy.arctan2({x_low} - {x_up}, {y_up} - {y_low})")
+    return _message(what, name, read, write)
 
 
 def _of_program(lines: Sequence[str], name: str) -> str | None:
@@ -61,30 +72,42 @@ def _of_program(lines: Sequence[str], name: str) -> str | None:
     rows = [[cell.strip() for cell in re.split(r"[,;\t]", line)] for line in lines[:12]]
     heads = [cell.lower() for cell in rows[0]]
     if heads[0] == "format version":
-        at = next((i for i, row in enumerate(rows) if row[0] == "Frame"), 6)
-        # A rigid body's quaternion X, Y, Z, W comes first; a turn about z by θ has z = sin θ/2 and w = cos θ/2.
-        values = "'x': t['X.1'], 'y': t['Y.1'], 'angle': 2 * numpy.arctan2(t['Z'], t['W'])"
-        write = f"pandas.DataFrame({{'throw': 0, 'time': t['Time (Seconds)'], {values}}})"
-        read = f"t = pandas.read_csv({name!r}, skiprows={at}, skip_blank_lines=False)"
-        return _message("a file of Motive", name, read, write)
+        return _of_motive(rows, name)
     if heads[0] == "scorer":
-        low, high = [*dict.fromkeys(rows[1][1:]), "", ""][:2]
-        x, y = ([f"t[{point!r}][{axis!r}]" for point in (low, high)] for axis in ("x", "y"))
-        read = f"t = pandas.read_csv({name!r}, header=[1, 2], index_col=0)"
-        return _message("a file of DeepLabCut", name, read, _two_points("t.index / 60", x, y))
+        n = next((i for i, row in enumerate(rows) if row[0] == "coords"), 2)  # after individuals, if there are several
+        points = dict.fromkeys(zip(*(row[1:] for row in rows[1:n]), strict=False))
+        columns = [((*point, "x"), (*point, "y")) for point in points]
+        read = f"t = pandas.read_csv({name!r}, header={[*range(1, n + 1)]}, index_col=0)"
+        return _of_points("a file of DeepLabCut", name, read, "t.index / 60", columns)
     if "frame_idx" in heads:
-        low, high = [*dict.fromkeys(cell[:-2] for cell in rows[0] if cell.lower().endswith(".x")), "", ""][:2]
-        x, y = ([f"t[{f'{point}.{axis}'!r}]" for point in (low, high)] for axis in ("x", "y"))
+        nodes = [cell[:-2] for cell in rows[0] if cell.endswith(".x")]
         read = f"t = pandas.read_csv({name!r})"
-        return _message("a file of SLEAP", name, read, _two_points("t['frame_idx'] / 60", x, y))
-    for at in (i for i, row in enumerate(rows[:3]) if row[:3] == ["t", "x", "y"]):
+        columns = [(f"{node}.x", f"{node}.y") for node in nodes]
+        return _of_points("a file of SLEAP", name, read, "t['frame_idx'] / 60", columns)
+    for at in (i for i, row in enumerate(rows[:3]) if row[0] == "t" and {"x", "y"} <= {*row}):
         decimal = ", decimal=','" if "," in "".join(lines[at + 1 :][:1]) and "," not in lines[at] else ""
-        read = f"t = pandas.read_csv({name!r}, skiprows={at}, sep={_separator(lines[at])!r}{decimal})"
-        n = rows[at].count("x")
-        x, y = ([f"t[{name_!r}]" for name_ in (axis, f"{axis}.1" if n > 1 else axis)] for axis in ("x", "y"))
-        what = "a file of Tracker" + (" of one point, which has no angle" if n == 1 else "")
-        return _message(what, name, read, _two_points("t['t']", x, y))
+        options = f"skiprows={at}, sep={_separator(lines[at])!r}, index_col=False{decimal}"
+        read = f"t = pandas.read_csv({name!r}, {options})"
+        return _of_points("a file of Tracker", name, read, "t['t']", _repeated("x", "y", rows[at]))
     return None
+
+
+def _of_motive(rows: Sequence[Sequence[str]], name: str) -> str | None:
+    """Recognise a rigid body, whose rotation comes first, or markers."""
+    at = next((i for i, row in enumerate(rows) if row[0] == "Frame"), 6)
+    heading = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    read = f"t = pandas.read_csv({name!r}, skiprows={at}, skip_blank_lines=False)"
+    what = f"a file of Motive in {heading.get('Length Units', 'Meters').lower()}"
+    if "Rotation" not in rows[at - 1]:
+        return _of_points(what, name, read, "t.iloc[:, 1]", _repeated("X", "Y", rows[at]))
+    # A turn about z by θ is the quaternion z = sin θ/2, w = cos θ/2, or an angle of Euler's in degrees.
+    angle = "2 * numpy.arctan2(t['Z'], t['W'])" if "W" in rows[at] else "numpy.radians(t['Z'])"
+    return _message(what, name, read, _poses("t.iloc[:, 1]", f"'x': t['X.1'], 'y': t['Y.1'], 'angle': {angle}"))
+
+
+def _repeated(x: str, y: str, heading: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the names that pandas gives to columns of the same name."""
+    return [(x + mark, y + mark) for mark in ("", *(f".{i}" for i in range(1, heading.count(x))))]
 
 
 def _separator(line: str) -> str:

@@ -48,6 +48,7 @@ def test_deviations_and_bars_may_be_columns() -> None:
             b"throw,time,x,y,angle,x_sd\n1,0,0,0,0,1\n",
             "a.csv: has x_sd but no y_sd, angle_sd: expected all three or none",
         ),
+        (b"t,x,y\n0,1,2\n", "a.csv: recognised a file of Tracker with one point, which has no angle"),
         (b"PAR1 and no more", "a.csv: cannot be read as Parquet"),
     ],
 )
@@ -70,45 +71,89 @@ def with_points(head: str, row: str) -> tuple[str, list[list[float]]]:
     """Frames 0 and 60 of a bar that is upright at (1, 2), and then lies with its upper end to the left."""
     first, second = ((1, 1.5), (1, 2.5)), ((1.5, 2), (0.5, 2))
     text = head + "".join(row.format(f=f, t=f / 60, a=a, b=b) + "\n" for f, (a, b) in ((0, first), (60, second)))
-    return text, [[0, 0, 1, 2, 0], [0, 1, 1, 2, np.pi / 2]]
+    return text, TURNED
 
 
-MOTIVE = """Format Version,1.23,Take Name,a,Capture Frame Rate,60
-,,Type,Rigid Body
-,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position
-Frame,Time (Seconds),X,Y,Z,W,X,Y,Z
-0,0.0,0,0,0,1,1,2,9
-60,1.0,0,0,0.7071067811865476,0.7071067811865476,1,2,9
+MOTIVE = """Format Version,1.23,Take Notes,,Capture Frame Rate,60.000000,Rotation Type,{0},Length Units,Meters
+
+,Type,{1}
+,Name,{2}
+,ID,{2}
+,,{3}
+Frame,Time (Seconds),{4}
 """
-FOREIGN = {
-    "text in UTF-16": (PLAIN.encode("utf-16"), ROWS),
-    "text that is not UTF-8": (PLAIN.replace("angle", "angle,°").replace("\n0", ",\n0").encode("cp1252"), None),
-    "columns named Throw": (PLAIN.replace("throw,time,x", "Throw,Time [s],X"), ROWS),
-    "semicolons between cells, decimal commas": (PLAIN.replace(",", ";").replace(".", ","), ROWS),
-    "tabs between cells": (PLAIN.replace(",", "\t"), ROWS),
-    "a row of units": (PLAIN.replace("\n", "\n,s,m,m,rad\n", 1), ROWS),
-    "lines of comments": ("# filmed by me\n" + PLAIN.replace("\n", "\n# more\n", 1), ROWS),
-    "lines of comments, tabs between cells, columns named": (
+"""The seven lines before the data, by what was exported."""
+QUATERNION = MOTIVE.format(
+    "Quaternion",
+    "Rigid Body" + 6 * ",Rigid Body",
+    "Bar" + 6 * ",Bar",
+    4 * "Rotation," + 3 * "Position,",
+    "X,Y,Z,W,X,Y,Z,",
+)
+EULER = MOTIVE.format(
+    "XYZ", "Rigid Body" + 5 * ",Rigid Body", "Bar" + 5 * ",Bar", 3 * "Rotation," + 3 * "Position,", "X,Y,Z,X,Y,Z,"
+)
+MARKERS = MOTIVE.format(
+    "Quaternion", "Marker" + 5 * ",Marker", "a,a,a,b,b,b", "Position" + 5 * ",Position", "X,Y,Z,X,Y,Z"
+)
+TURNED = [[0, 0, 1, 2, 0], [0, 1, 1, 2, np.pi / 2]]
+FOREIGN = [
+    ("text in UTF-16", PLAIN.encode("utf-16"), ROWS),
+    ("text that is not UTF-8", PLAIN.replace("angle", "angle,°").replace("\n0", ",\n0").encode("cp1252"), None),
+    ("columns named Throw", PLAIN.replace("throw,time,x", "Throw,Time [s],X"), ROWS),
+    ("semicolons between cells, decimal commas", PLAIN.replace(",", ";").replace(".", ","), ROWS),
+    ("tabs between cells", PLAIN.replace(",", "\t"), ROWS),
+    ("a row of units", PLAIN.replace("\n", "\n,s,m,m,rad\n", 1), ROWS),
+    ("lines of comments", "# filmed by me\n" + PLAIN.replace("\n", "\n# more\n", 1), ROWS),
+    (
+        "lines of comments, tabs between cells, columns named",
         "% a\n" + PLAIN.replace(",", "\t").replace("angle", "Angle (rad)"),
         ROWS,
     ),
-    "a file of Motive": (MOTIVE, [[0, 0, 1, 2, 0], [0, 1, 1, 2, np.pi / 2]]),
-    "a file of DeepLabCut": with_points(
-        "scorer,n,n,n,n,n,n\nbodyparts,a,a,a,b,b,b\ncoords,x,y,likelihood,x,y,likelihood\n",
-        "{f},{a[0]},{a[1]},1,{b[0]},{b[1]},1",
+    (
+        "a file of Motive in meters",
+        QUATERNION + "0,0,0,0,0,1,1,2,9,0.1\n9,0.1,,,,,,,,\n60,1,0,0,0.7071067811865476,0.7071067811865476,1,2,9,0.1\n",
+        TURNED,
     ),
-    "a file of SLEAP": with_points(
-        "track,frame_idx,instance.score,a.x,a.y,a.score,b.x,b.y,b.score\n", ",{f},1,{a[0]},{a[1]},1,{b[0]},{b[1]},1"
+    ("a file of Motive in meters", EULER + "0,0,0,0,0,1,2,9,0.1\n60,1,0,0,90,1,2,9,0.1\n", TURNED),
+    ("a file of Motive in meters", *with_points(MARKERS, "{f},{t},{a[0]},{a[1]},9,{b[0]},{b[1]},9")),
+    (
+        "a file of DeepLabCut",
+        *with_points(
+            "scorer,n,n,n,n,n,n\nbodyparts,a,a,a,b,b,b\ncoords,x,y,likelihood,x,y,likelihood\n",
+            "{f},{a[0]},{a[1]},1,{b[0]},{b[1]},1",
+        ),
     ),
-    "a file of Tracker": with_points("mass A\t\t\tmass B\nt\tx\ty\tx\ty\n", "{t}\t{a[0]}\t{a[1]}\t{b[0]}\t{b[1]}"),
-    "a file of Tracker of one point": (b"t,x,y\n0,1,2\n1,1,2\n", None),
-}
+    (
+        "a file of DeepLabCut",
+        *with_points(
+            "scorer,n,n,n,n,n,n\nindividuals,i,i,i,i,j,j\nbodyparts,a,a,b,b,a,a\ncoords,x,y,x,y,x,y\n9,,,,,1,2\n",
+            "{f},{a[0]},{a[1]},{b[0]},{b[1]},,",
+        ),
+    ),
+    (
+        "a file of SLEAP",
+        *with_points(
+            "track,frame_idx,instance.score,a.x,a.y,a.score,b.x,b.y,b.score\n,1,nan,1,2,,,,\n",
+            ",{f},1,{a[0]},{a[1]},1,{b[0]},{b[1]},1",
+        ),
+    ),
+    (
+        "a file of Tracker",
+        *with_points("\tmass A\t\tmass B\t\t\nt\tx\ty\tx\ty\t\n0.1\t\t\t1\t2\n", "{t}\t{a[0]}\t{a[1]}\t{b[0]}\t{b[1]}"),
+    ),
+    (
+        "a file of Tracker",
+        *with_points("#multi:\n,A,,B,,\nt,frame,x,y,frame,x,y,\n", "{t},{f},{a[0]},{a[1]},{f},{b[0]},{b[1]},"),
+    ),
+]
 
 
-@pytest.mark.parametrize("what", FOREIGN)
-def test_a_file_of_another_notation_is_recognised_and_its_lines_convert_it(tmp_path, monkeypatch, what) -> None:
+@pytest.mark.parametrize(("what", "content", "rows"), FOREIGN)
+def test_a_file_of_another_notation_is_recognised_and_its_lines_convert_it(
+    tmp_path, monkeypatch, what, content, rows
+) -> None:
     monkeypatch.chdir(tmp_path)
-    content, rows = FOREIGN[what]
     content = content if isinstance(content, bytes) else content.encode()
     (tmp_path / "mine.csv").write_bytes(content)
     with pytest.raises(PuddleError, match=f"^mine.csv: recognised {what}") as refused:
