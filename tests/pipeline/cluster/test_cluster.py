@@ -267,6 +267,27 @@ with ray_cluster(n_workers=1) as cluster:
     assert ran.returncode == 0, ran.stderr
 
 
+def test_under_uv_run_workers_have_the_environment_that_the_driver_has(tmp_path):
+    """Ray would start them by `uv run`, which builds the environment anew: it looks for a process that is named so."""
+    driver = """
+import sys
+from pipeline.cluster import prepare_process, ray_cluster
+prepare_process()
+with ray_cluster(n_workers=1) as cluster:
+    cluster.submit(getattr, sys, "executable")
+    assert cluster.next_done()[1].result == sys.executable
+from ray._private.runtime_env.uv_runtime_env_hook import hook
+assert hook({"working_dir": "/"})["py_executable"].startswith("uv run --no-sync")
+"""
+    (tmp_path / "run").write_text('shift\n"$@"\nexit $?\n')  # for the shell, whose name and first word are uv's
+    words = ["uv", "run", "--no-sync", sys.executable, "-c", driver]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    ran = subprocess.run(
+        words, executable="/bin/sh", cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200
+    )
+    assert ran.returncode == 0, ran.stderr
+
+
 DIES = """
 import sys, psutil
 from pipeline.cluster import prepare_process, ray_cluster
