@@ -1,5 +1,7 @@
 """Videos of a tank: tracks of thrown bars and of built robots. Needs OpenCV: make setup EXTRAS=vision."""
 
+import contextlib
+import io
 from importlib.util import find_spec
 
 from pipeline.errors import PuddleError
@@ -12,11 +14,16 @@ def require_vision() -> None:
             "opencv-python-headless not installed, but needed to find and print tags. Run `make setup EXTRAS=vision` "
             "in the checkout; without a checkout, `pip install 'puddle[vision]'`."
         )
-    import cv2
-
-    if not hasattr(getattr(cv2, "aruco", None), "ArucoDetector"):
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):  # NumPy prints pages about a wheel that was built for NumPy 1
+            import cv2
+        version = getattr(cv2, "__version__", "of an unknown version")
+        problem = f"OpenCV {version} has no cv2.aruco.ArucoDetector"
+        is_whole = hasattr(getattr(cv2, "aruco", None), "ArucoDetector")
+    except ImportError as error:
+        problem, is_whole = f"OpenCV cannot be imported ({error})", False
+    if not is_whole:
         raise PuddleError(
-            f"OpenCV {getattr(cv2, '__version__', 'of an unknown version')} has no cv2.aruco.ArucoDetector, expected "
-            f"one wheel of 4.9 or later. Run `pip uninstall opencv-python opencv-contrib-python opencv-python-headless "
-            f"opencv-contrib-python-headless`, then `pip install 'opencv-python-headless>=4.9'`."
+            f"{problem}, expected one wheel of 4.9 or later. Run `pip uninstall opencv-python opencv-contrib-python "
+            f"opencv-python-headless opencv-contrib-python-headless`, then `pip install 'opencv-python-headless>=4.9'`."
         )

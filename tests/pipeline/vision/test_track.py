@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 import yaml
@@ -190,6 +192,12 @@ def test_what_is_refused_at_once(tank, tmp_path, monkeypatch, capsys):
         patched.delattr("cv2.aruco.ArucoDetector")
         assert track(tank, tmp_path / "tracks.csv") == 2
         assert "pip install 'opencv-python-headless>=4.9'" in capsys.readouterr().err
+    with monkeypatch.context() as patched:  # a wheel for NumPy 1, or one that needs a display
+        (tmp_path / "cv2.py").write_text("raise ImportError('libGL.so.1: no such file')")
+        patched.delitem(sys.modules, "cv2")
+        patched.syspath_prepend(tmp_path)
+        assert track(tank, tmp_path / "tracks.csv") == 2
+        assert "OpenCV cannot be imported (libGL.so.1" in capsys.readouterr().err
     monkeypatch.setattr("pipeline.vision.find_spec", lambda name: None)
     assert call("track", tmp_path / "a.mp4", "--markers", tmp_path / "markers.yaml") == 2
     assert "make setup EXTRAS=vision" in capsys.readouterr().err
