@@ -18,91 +18,73 @@ def conversion_of_parquet(types: Mapping[str, str], name: str) -> str | None:
     """Return a message if a Parquet file has times that are no numbers; ``types`` are Arrow's, by column."""
     for column, kind in types.items():
         if kind.startswith(("duration", "timestamp")):
-            since = "" if kind.startswith("duration") else " - t[{0!r}].min()"
-            change = f"t = pandas.read_parquet({name!r}); t[{column!r}] = (t[{column!r}]{since.format(column)})"
-            return _message(f"{column} is a {kind}", name, f"{change}.dt.total_seconds()", "t")
+            since = "" if kind.startswith("duration") else f" - t[{column!r}].min()"
+            seconds = f"; t[{column!r}] = (t[{column!r}]{since}).dt.total_seconds()"
+            return _message(f"{column} is a {kind}", name, "", "t", "parquet", seconds)
     return None
 
 
 def conversion_of_text(content: bytes, name: str, known: Collection[str]) -> str | None:
     """Return a message if a text file is not CSV with the ``known`` columns in UTF-8, but is recognised otherwise."""
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        read = f"t = pandas.read_csv({name!r}, encoding='utf-16', sep=None, engine='python')"
-        return _message("text in UTF-16", name, read, "t")
+    encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
-        text = content.decode("utf-8-sig")
+        text = content.decode(encoding)
     except UnicodeDecodeError:
-        read = f"t = pandas.read_csv({name!r}, encoding='cp1252', sep=None, engine='python')"
-        return _message("text that is not UTF-8, as Windows writes it (cp1252)", name, read, "t")
+        encoding = "cp1252"  # as Windows writes it
+    if encoding != "utf-8-sig":
+        return _message(f"text in {encoding}", name, f"encoding={encoding!r}, sep=None, engine='python'", "t")
     lines = text[:_HEAD].splitlines()
     if not any(line.strip() for line in lines):
         return None
     return _of_program(lines, name) or _of_notation(lines, name, known)
 
 
-def _message(what: str, name: str, read: str, write: str) -> str:
+def _message(what: str, name: str, options: str, write: str, kind: str = "csv", then: str = "") -> str:
+    """Return a message with two lines of Python: one that reads a file with ``options``, and one that writes CSV."""
     return (
         f"{name}: recognised {what}; expected CSV in UTF-8 with the columns throw, time, x, y, angle, commas between "
-        f"cells and points in numbers, or Parquet. These lines of Python (import numpy, pandas) convert it:\n  {read}\n"
+        f"cells and points in numbers, or Parquet. These lines of Python (import numpy, pandas) convert it:\n"
+        f"  t = pandas.read_{kind}({', '.join(word for word in (repr(name), options) if word)}){then}\n"
         f"  {write}.to_csv('converted.csv', index=False)"
     )
 
 
-def _poses(time: str, pose: str) -> str:
-    """Return a table of poses, without the frames in which the bar or a point of it was lost."""
-    return f"pandas.DataFrame({{'throw': 0, 'time': {time}, {pose}}}).dropna()"
-
-
-def _of_points(what: str, name: str, read: str, time: str, points: Sequence[tuple[object, object]]) -> str | None:
-    """Return a message whose lines give the pose of a bar from the columns x and y of a lower and an upper point."""
-    if not points:
-        return None
-    if len(points) == 1:
-        return (
-            f"{name}: recognised {what} with one point, which has no angle: track a lower and an upper point of a bar"
-        )
-    (x_low, y_low), (x_up, y_up) = [(f"t[{x!r}]", f"t[{y!r}]") for x, y in points[:2]]
-    centre = f"'x': ({x_low} + {x_up}) / 2, 'y': ({y_low} + {y_up}) / 2"
-    write = _poses(time, f"{centre}, 'angle': numpy.arctan2({x_low} - {x_up}, {y_up} - {y_low})")
-    return _message(what, name, read, write)
-
-
 def _of_program(lines: Sequence[str], name: str) -> str | None:
-    """Recognise the exports of Motive, DeepLabCut, SLEAP and Tracker."""
+    """Recognise the exports of Motive, DeepLabCut, SLEAP and Tracker: a rigid body, or two points of a bar."""
     rows = [[cell.strip() for cell in re.split(r"[,;\t]", line)] for line in lines[:12]]
-    heads = [cell.lower() for cell in rows[0]]
-    if heads[0] == "format version":
-        return _of_motive(rows, name)
-    if heads[0] == "scorer":
+    angle, points = "", list[tuple[object, object]]()
+    if rows[0][0] == "Format Version":
+        at = next((i for i, row in enumerate(rows) if row[0] == "Frame"), 6)
+        units = dict(zip(rows[0][::2], rows[0][1::2], strict=False)).get("Length Units", "Meters").lower()
+        what, options, time = f"Motive in {units}", f"skiprows={at}, skip_blank_lines=False", "t.iloc[:, 1]"
+        points += _repeated("X", "Y", rows[at])
+        if "Rotation" in rows[at - 1]:  # of a rigid body comes first: a quaternion, or Euler's angles in degrees
+            angle = "2 * numpy.arctan2(t['Z'], t['W'])" if "W" in rows[at] else "numpy.radians(t['Z'])"
+            points = points[1:2]
+    elif rows[0][0] == "scorer":
         n = next((i for i, row in enumerate(rows) if row[0] == "coords"), 2)  # after individuals, if there are several
-        points = dict.fromkeys(zip(*(row[1:] for row in rows[1:n]), strict=False))
-        columns = [((*point, "x"), (*point, "y")) for point in points]
-        read = f"t = pandas.read_csv({name!r}, header={[*range(1, n + 1)]}, index_col=0)"
-        return _of_points("a file of DeepLabCut", name, read, "t.index / 60", columns)
-    if "frame_idx" in heads:
-        nodes = [cell[:-2] for cell in rows[0] if cell.endswith(".x")]
-        read = f"t = pandas.read_csv({name!r})"
-        columns = [(f"{node}.x", f"{node}.y") for node in nodes]
-        return _of_points("a file of SLEAP", name, read, "t['frame_idx'] / 60", columns)
-    for at in (i for i, row in enumerate(rows[:3]) if row[0] == "t" and {"x", "y"} <= {*row}):
+        what, options, time = "DeepLabCut", f"header={[*range(1, n + 1)]}, index_col=0", "t.index / 60"
+        names = dict.fromkeys(zip(*(row[1:] for row in rows[1:n]), strict=False))
+        points += [((*point, "x"), (*point, "y")) for point in names]
+    elif "frame_idx" in rows[0]:
+        what, options, time = "SLEAP", "", "t['frame_idx'] / 60"
+        points += [(cell, f"{cell[:-2]}.y") for cell in rows[0] if cell.endswith(".x")]
+    elif tables := [i for i, row in enumerate(rows[:3]) if row[0] == "t" and {"x", "y"} <= {*row}]:
+        at = tables[0]
         decimal = ", decimal=','" if "," in "".join(lines[at + 1 :][:1]) and "," not in lines[at] else ""
         options = f"skiprows={at}, sep={_separator(lines[at])!r}, index_col=False{decimal}"
-        read = f"t = pandas.read_csv({name!r}, {options})"
-        return _of_points("a file of Tracker", name, read, "t['t']", _repeated("x", "y", rows[at]))
-    return None
-
-
-def _of_motive(rows: Sequence[Sequence[str]], name: str) -> str | None:
-    """Recognise a rigid body, whose rotation comes first, or markers."""
-    at = next((i for i, row in enumerate(rows) if row[0] == "Frame"), 6)
-    heading = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
-    read = f"t = pandas.read_csv({name!r}, skiprows={at}, skip_blank_lines=False)"
-    what = f"a file of Motive in {heading.get('Length Units', 'Meters').lower()}"
-    if "Rotation" not in rows[at - 1]:
-        return _of_points(what, name, read, "t.iloc[:, 1]", _repeated("X", "Y", rows[at]))
-    # A turn about z by θ is the quaternion z = sin θ/2, w = cos θ/2, or an angle of Euler's in degrees.
-    angle = "2 * numpy.arctan2(t['Z'], t['W'])" if "W" in rows[at] else "numpy.radians(t['Z'])"
-    return _message(what, name, read, _poses("t.iloc[:, 1]", f"'x': t['X.1'], 'y': t['Y.1'], 'angle': {angle}"))
+        what, time = "Tracker", "t['t']"
+        points += _repeated("x", "y", rows[at])
+    else:
+        return None
+    if len(points) < 2 and not angle:
+        return f"{name}: recognised a file of {what} with one point, which has no angle: track two points of each bar"
+    x, y = ([f"t[{point[axis]!r}]" for point in points[:2]] for axis in (0, 1))
+    angle = angle or f"numpy.arctan2({x[0]} - {x[1]}, {y[1]} - {y[0]})"  # the lower point first
+    centre = f"'x': numpy.mean([{', '.join(x)}], axis=0), 'y': numpy.mean([{', '.join(y)}], axis=0)"
+    # Without the frames in which a bar, or a point of it, was lost.
+    write = f"pandas.DataFrame({{'throw': 0, 'time': {time}, {centre}, 'angle': {angle}}}).dropna()"
+    return _message(f"a file of {what}", name, options, write)
 
 
 def _repeated(x: str, y: str, heading: Sequence[str]) -> list[tuple[str, str]]:
@@ -147,4 +129,4 @@ def _of_notation(lines: Sequence[str], name: str, known: Collection[str]) -> str
         options.append(f"skiprows=[{at}]")
     if not found:
         return None
-    return _message(", ".join(found), name, f"t = pandas.read_csv({', '.join([repr(name), *options])})", write)
+    return _message(", ".join(found), name, ", ".join(options), write)

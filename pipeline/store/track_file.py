@@ -43,7 +43,7 @@ def read_track_columns(content: bytes, name: str) -> TrackColumns:
     if kind == "CSV" and (conversion := conversion_of_text(content, name, _KNOWN)):
         raise PuddleError(conversion)
     try:
-        table = pq.read_table(pa.BufferReader(content)) if kind == "Parquet" else _read_csv(content, name)
+        table = pq.ParquetFile(pa.BufferReader(content)).read() if kind == "Parquet" else _read_csv(content, name)
         if conversion := conversion_of_parquet({field.name: str(field.type) for field in table.schema}, name):
             raise PuddleError(conversion)
         known = [column for column in table.column_names if column in _KNOWN]

@@ -98,8 +98,8 @@ MARKERS = MOTIVE.format(
 )
 TURNED = [[0, 0, 1, 2, 0], [0, 1, 1, 2, np.pi / 2]]
 FOREIGN = [
-    ("text in UTF-16", PLAIN.encode("utf-16"), ROWS),
-    ("text that is not UTF-8", PLAIN.replace("angle", "angle,°").replace("\n0", ",\n0").encode("cp1252"), None),
+    ("text in utf-16", PLAIN.encode("utf-16"), ROWS),
+    ("text in cp1252", PLAIN.replace("angle", "angle,°").replace("\n0", ",\n0").encode("cp1252"), None),
     ("columns named Throw", PLAIN.replace("throw,time,x", "Throw,Time [s],X"), ROWS),
     ("semicolons between cells, decimal commas", PLAIN.replace(",", ";").replace(".", ","), ROWS),
     ("tabs between cells", PLAIN.replace(",", "\t"), ROWS),
