@@ -17,31 +17,21 @@ Mistakes in arguments, and damage to a store, raise :class:`PuddleError`.
 from __future__ import annotations
 
 import importlib.metadata
-import importlib.util
 import sys
 import warnings
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+_ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(_ROOT))  # ahead of a user's working folder, which may have a tasks.py or pipeline.py
+import pipeline
+import tasks
 
-def _import_own(name: str) -> None:
-    """Import a package beside this one, whatever a user's working folder has of that name."""
-    init = Path(__file__).parents[1] / name / "__init__.py"
-    other = getattr(sys.modules.get(name), "__file__", None)
-    if name not in sys.modules:
-        specification = importlib.util.spec_from_file_location(
-            name, init, submodule_search_locations=[str(init.parent)]
-        )
-        assert specification is not None and specification.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(specification)
-        specification.loader.exec_module(sys.modules[name])
-    elif other is None or Path(other).resolve() != init.resolve():
-        raise ImportError(f"puddle has a package {name!r}, and {other} was imported before: import puddle first")
-
-
-_import_own("tasks")
-_import_own("pipeline")
+sys.path.remove(str(_ROOT))
+for _package in (pipeline, tasks):
+    if _ROOT not in Path(_package.__file__ or "/").resolve().parents:
+        raise ImportError(f"puddle has a package {_package.__name__!r}, and another was imported: import puddle first")
 
 from pipeline.errors import PuddleError
 from tasks.design import Designs, crossover, mutate, random_designs
