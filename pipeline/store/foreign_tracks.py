@@ -33,9 +33,7 @@ def conversion_of_text(content: bytes, name: str, known: Collection[str]) -> str
         encoding = "cp1252"  # as Windows writes it
     if encoding != "utf-8-sig":
         return _message(f"text in {encoding}", name, f"encoding={encoding!r}, sep=None, engine='python'", "t")
-    lines = text[:_HEAD].splitlines()
-    if not any(line.strip() for line in lines):
-        return None
+    lines = text[:_HEAD].splitlines() or [""]
     return _of_program(lines, name) or _of_notation(lines, name, known)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.arrays import Bools, Float64
+from tasks.arrays import Bools
 from tasks.residual import MeasuredTransitions
 from tasks.tracks.table import TrackError
 
@@ -91,7 +91,9 @@ def _check_speed_ramps(transitions: MeasuredTransitions, gravity: float, time_st
     free = (uneven < least) & (falls > _SD_OF_GRAVITY * sd)
     usual = float(np.median(falls[free])) if free.any() else gravity
     off = free & (np.abs(falls - usual) > np.maximum(_PIECE_OFF * usual, _SD_OF_GRAVITY * sd))
-    if off.sum() > max(2, _LEAST_SHARE_OFF * free.sum()) and _alike(falls[off]):
+    others = falls[off]  # those at another speed of the video are alike
+    is_second_speed = len(others) > max(2, _LEAST_SHARE_OFF * free.sum())
+    if is_second_speed and np.mean(np.abs(np.log(others / np.median(others))) < _PIECE_OFF) > _MOSTLY:
         k = int(np.argmax(off))
         raise TrackError(
             f"throw {int(transitions.throw[pieces[k][0]])}, and others: bars fall at {falls[k]:.2g} m/s² of "
@@ -99,11 +101,6 @@ def _check_speed_ramps(transitions: MeasuredTransitions, gravity: float, time_st
             f"throughout: export slow motion without its ends at normal speed, or cut them off, and use --slowdown; "
             f"where the speed is right, check that y is 0 at the waterline"
         )
-
-
-def _alike(falls: Float64) -> bool:
-    """Return whether most values are about the same, as those at one speed of a video are."""
-    return bool(np.mean(np.abs(np.log(falls / np.median(falls))) < _PIECE_OFF) > _MOSTLY)
 
 
 def _fall_in_air(transitions: MeasuredTransitions, gravity: float, time_step: float) -> Fall:
