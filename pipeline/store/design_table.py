@@ -30,7 +30,7 @@ def read_designs(path: Path) -> Designs:
     try:
         if path.suffix == ".parquet":
             with path.open("rb") as file:
-                table = pq.read_table(file)
+                table = read_parquet(file)
             if _DESIGN_JSON in table.column_names:
                 return _of_documents(path, table[_DESIGN_JSON].to_pylist())
             return _of_columns(path, table)
@@ -41,6 +41,11 @@ def read_designs(path: Path) -> Designs:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         expected = "Expected a Parquet file, a design file, or a text file with a design in each line"
         raise PuddleError(f"{path}: cannot be read: {why}. {expected}.") from None
+
+
+def read_parquet(file: Any) -> pa.Table:
+    """Read a table without threads of Arrow's, with which a process that ends at once may abort with exit code 134."""
+    return pq.ParquetFile(file).read(use_threads=False)
 
 
 def _of_documents(path: Path, documents: list[Any]) -> Designs:

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
+from pipeline.store.design_table import read_parquet
 from pipeline.store.foreign_tracks import conversion_of_parquet, conversion_of_text
 from tasks.arrays import Float64
 from tasks.tracks import Bars, TrackTable
@@ -43,7 +43,7 @@ def read_track_columns(content: bytes, name: str) -> TrackColumns:
     if kind == "CSV" and (conversion := conversion_of_text(content, name, _KNOWN)):
         raise PuddleError(conversion)
     try:
-        table = pq.ParquetFile(pa.BufferReader(content)).read() if kind == "Parquet" else _read_csv(content, name)
+        table = read_parquet(pa.BufferReader(content)) if kind == "Parquet" else _read_csv(content, name)
         if conversion := conversion_of_parquet({field.name: str(field.type) for field in table.schema}, name):
             raise PuddleError(conversion)
         known = [column for column in table.column_names if column in _KNOWN]
