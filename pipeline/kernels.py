@@ -6,6 +6,7 @@ of a process checks them; a folder that differs from its list is discarded.
 """
 
 import contextlib
+import fcntl
 import functools
 import hashlib
 import json
@@ -22,8 +23,6 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.event import Listener, register
 
 import tasks
-from pipeline.errors import PuddleError
-from pipeline.locks import wait_for_lock
 from tasks.compiled import KERNELS
 from tasks.simulation.batch import needed_kernels
 from tasks.world import Physics
@@ -80,7 +79,7 @@ def _digests(folder: Path) -> dict[str, str]:
 def _locked(folder: Path) -> Iterator[None]:
     folder.mkdir(mode=0o700, exist_ok=True)
     with (folder / "lock").open("a+b") as file:
-        wait_for_lock(file.fileno(), folder / "lock", seconds=120.0)
+        fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
@@ -88,7 +87,7 @@ def _locked(folder: Path) -> Iterator[None]:
 def checked_folder() -> Path:
     """Return the folder of the kernels once it is sound, which the first kernel of a process asks for."""
     folder = cache_folder()
-    with contextlib.suppress(OSError, PuddleError), _locked(folder):  # else every process compiles its own
+    with contextlib.suppress(OSError), _locked(folder):  # else every process compiles its own
         if not is_sound(folder):
             _warn(f"the compiled kernels in {folder} are damaged and are compiled again")
             for path in (*kernel_files(folder), folder / _DIGESTS):
@@ -143,7 +142,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                 draft = folder / f".{_DIGESTS}"
                 draft.write_text(json.dumps(_digests(folder), indent=1))
                 draft.replace(folder / _DIGESTS)
-        except (OSError, PuddleError) as error:
+        except OSError as error:
             _warn(f"a compiled kernel could not be kept for the next process: {error}")
 
 

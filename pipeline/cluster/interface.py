@@ -1,7 +1,6 @@
 """The interface of a cluster: submit pure functions, collect their outcomes."""
 
 import functools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -34,12 +33,10 @@ class Done:
 class TaskFailed(PuddleError):  # noqa: N818 (an outcome as much as an exception)
     """A call that returned no result."""
 
-    def __init__(self, name: str, reason: str, remote_traceback: str, infrastructure: bool) -> None:
-        super().__init__(name, reason, remote_traceback, infrastructure)  # so that it survives pickling
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(name, reason)  # so that it survives pickling
         self.name = name
         self.reason = reason  # the exception's type and message
-        self.remote_traceback = remote_traceback
-        self.infrastructure = infrastructure  # whether the worker, its node or its memory failed, not the function
 
     def __str__(self) -> str:
         return f"{self.name}: {self.reason}"
@@ -59,21 +56,11 @@ class Cluster(Protocol):
     def n_gpus(self) -> float:
         """Number of GPUs in the cluster now."""
 
-    @property
-    def n_running(self) -> int:
-        """Number of submitted calls whose outcome has not been collected."""
-
     def share(self, value: Any) -> Handle:
         """Store a large immutable value, such as an ensemble's weights, once for many calls."""
 
     def submit(
-        self,
-        function: Callable[..., Any],
-        *args: Any,
-        n_cores: float = 1.0,
-        n_gpus: float = 0.0,
-        seconds: float = math.inf,
-        name: str = "",
+        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
         """Return the ticket of ``function(*args)``, which is queued.
 
@@ -83,7 +70,6 @@ class Cluster(Protocol):
             n_cores: cores that the call occupies. A function that only waits for its own :class:`Spread` takes 0;
                 each such call is a process, so the caller limits their number by memory.
             n_gpus: GPUs that the call occupies.
-            seconds: time after which its worker is ended [s]; a call in this process goes on.
             name: shown in messages; by default the function's name.
         """
 
@@ -94,18 +80,9 @@ class Cluster(Protocol):
         """Stop every running call and drop every queued one."""
 
 
-def failure(name: str, cause: BaseException, remote_traceback: str) -> TaskFailed:
-    """Return the outcome of a call that raised.
-
-    Args:
-        name: the call's name.
-        cause: the exception.
-        remote_traceback: the worker's traceback.
-    """
-    if isinstance(cause, TaskFailed):  # raised by an item of a spread, whose traceback is the informative one
-        failed = TaskFailed(name, str(cause), cause.remote_traceback, cause.infrastructure)
-    else:
-        failed = TaskFailed(name, f"{type(cause).__name__}: {cause}", remote_traceback, False)
+def failure(name: str, cause: BaseException) -> TaskFailed:
+    """Return the outcome of a call that raised; the cause may itself be the failure of an item of a spread."""
+    failed = TaskFailed(name, str(cause) if isinstance(cause, TaskFailed) else f"{type(cause).__name__}: {cause}")
     failed.__cause__ = cause
     return failed
 

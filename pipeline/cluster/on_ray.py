@@ -13,7 +13,6 @@ import itertools
 import logging
 import math
 import os
-import re
 import socket
 import sys
 import threading
@@ -24,15 +23,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
-from pipeline.cluster.process import (
-    PINNED_THREADS,
-    end_at_once,
-    ended_by_signals,
-    limited,
-    memory_bounded,
-    number_of_cores,
-    signals_unwind,
-)
+from pipeline.cluster.process import PINNED_THREADS, end_at_once, ended_by_signals, number_of_cores, signals_unwind
 from pipeline.cluster.session import SESSIONS_FOLDER, session_folder
 from pipeline.errors import PuddleError
 
@@ -42,7 +33,6 @@ _N_INFRASTRUCTURE_RETRIES = 1  # retries of a task after its worker, node or mem
 _START_SECONDS = 120.0  # time to start Ray or to join a cluster [s]; ten are usual, and Ray itself tries for minutes
 _SHUTDOWN_SECONDS = 10.0  # time for Ray to end by itself [s]; a server that is gone lets it wait for ever
 _CHECK_INTERVAL = 1.0  # time between two checks of Ray's servers [s]
-_GONE_SECONDS = 45.0  # time that an existing cluster may be silent [s]; Ray ends the process after a minute
 _SERVERS = ("gcs_server", "raylet")  # ray's names for the processes without which it is dead
 _PACKAGES = ("tasks", "pipeline")  # sent to the workers of an existing cluster, which need not have them on disk
 
@@ -94,8 +84,9 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
 
 
 class _Ray:
-    def __init__(self, is_alive: Callable[[], bool], death_message: str) -> None:
+    def __init__(self, is_alive: Callable[[], bool], death_message: str, n_cores: int | None = None) -> None:
         self._is_alive, self._death_message = is_alive, death_message
+        self._n_cores = n_cores  # of a local cluster: to ask a server that has just died takes a minute
         self._numbers = itertools.count()
         self._running: dict[Any, Ticket] = {}
 
@@ -107,7 +98,7 @@ class _Ray:
 
     @property
     def n_cores(self) -> float:
-        return self._resource("CPU")
+        return self._n_cores or self._resource("CPU")
 
     @property
     def n_gpus(self) -> float:
@@ -119,26 +110,16 @@ class _Ray:
         self._check_alive()
         return float(ray.cluster_resources().get(name, 0.0))
 
-    @property
-    def n_running(self) -> int:
-        return len(self._running)
-
     def share(self, value: Any) -> Handle:
         import ray
 
         return Handle(ray.put(value))
 
     def submit(
-        self,
-        function: Callable[..., Any],
-        *args: Any,
-        n_cores: float = 1.0,
-        n_gpus: float = 0.0,
-        seconds: float = math.inf,
-        name: str = "",
+        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
-        reference = _remote_call(n_cores, ticket.name, n_gpus).remote(seconds, function, *references(args))
+        reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *references(args))
         self._running[reference] = ticket
         return ticket
 
@@ -186,7 +167,7 @@ def _local(n_workers: int) -> Iterator[_Ray]:
                 _node_ip_address="127.0.0.1",
                 _temp_dir=str(folder / "ray"),
             ):
-                yield _Ray(_servers_alive(), _RAY_DIED)
+                yield _Ray(_servers_alive(), _RAY_DIED, n_workers)
         finally:
             del os.environ["RAY_AUTH_TOKEN_PATH"]
 
@@ -218,10 +199,7 @@ def _existing(address: str) -> Iterator[_Ray]:
     with _joined(
         what, advice, Path("/"), address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages}
     ):
-        import ray
-
-        head = _server_of(ray.get_runtime_context().gcs_address, what, advice)
-        yield _Ray(_answering(head), _UNREACHABLE.format(address=address))
+        yield _Ray(lambda: True, _UNREACHABLE.format(address=address))
 
 
 def _server_of(address: str, what: str, advice: str) -> tuple[str, int]:
@@ -230,22 +208,6 @@ def _server_of(address: str, what: str, advice: str) -> tuple[str, int]:
         if parts.hostname and parts.port is not None:
             return parts.hostname, parts.port
     raise PuddleError(f"{what}: expected host:port or auto\n{advice}")
-
-
-def _answering(server: tuple[str, int]) -> Callable[[], bool]:
-    """Return a function that returns whether a server has accepted a connection in the last 45 s."""
-    answered = asked = time.monotonic()
-
-    def is_alive() -> bool:
-        nonlocal answered, asked
-        if time.monotonic() - asked > _CHECK_INTERVAL:
-            asked = time.monotonic()
-            with contextlib.suppress(OSError):
-                socket.create_connection(server, timeout=5.0).close()
-                answered = time.monotonic()
-        return time.monotonic() - answered < _GONE_SECONDS
-
-    return is_alive
 
 
 @contextlib.contextmanager
@@ -314,7 +276,7 @@ class Spread:
             return [self._function(item, *self._shared) for item in items]
         name = name_of(self._function)
         remote = _remote_call(1.0, name)
-        references = [remote.remote(math.inf, self._function, item, *self._stored) for item in items]
+        references = [remote.remote(self._function, item, *self._stored) for item in items]
         results: list[Any] = []
         try:
             for index, reference in enumerate(references):
@@ -327,9 +289,8 @@ class Spread:
         return results
 
 
-def _call(seconds: float, function: Callable[..., Any], *args: Any) -> Any:
-    with limited(seconds), memory_bounded():
-        return function(*args)
+def _call(function: Callable[..., Any], *args: Any) -> Any:
+    return function(*args)
 
 
 @functools.cache
@@ -359,12 +320,12 @@ def _outcome(name: str, reference: Any, *, death_message: str | None = None) -> 
     try:
         return Done(ray.get(reference))
     except RayTaskError as error:
-        return failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
+        return failure(name, error.cause)
     except RayError as error:
         if death_message is not None and isinstance(error, LocalRayletDiedError):  # every later call would fail too
             raise PuddleError(death_message) from error
         message = str(error) or type(error).__name__
-        return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}", message, True)
+        return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}")
 
 
 def _cancel(references: Any) -> None:

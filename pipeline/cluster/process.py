@@ -1,12 +1,8 @@
-"""Rules for every process of a study: one thread, bounded memory, and signals that leave nothing behind."""
+"""Rules for every process of a study: one thread, and signals that leave nothing behind."""
 
 import contextlib
-import faulthandler
-import math
 import os
-import resource
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -22,7 +18,6 @@ _QUOTAS = (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"))
 """Files with a container's quota and period of processor time: of cgroups version 2, and of version 1."""
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_SHARE_OF_FREE_MEMORY = 0.9  # share of the free memory that one task may take
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
 
 
@@ -45,50 +40,6 @@ def number_of_cores() -> int:
             quota, period = (int(word) for name in files for word in (_CGROUP / name).read_text().split())
             cores = min(cores, quota / period) if quota > 0 else cores
     return max(1, int(cores))
-
-
-@contextlib.contextmanager
-def memory_bounded() -> Iterator[None]:
-    """Make a task that allocates without end fail with a MemoryError before the machine runs out of memory.
-
-    If several together take too much, Ray's memory monitor ends the newest, which is retried a finite number of times.
-    Other systems than Linux have only that monitor.
-    """
-    if sys.platform != "linux":
-        yield
-        return
-    import psutil
-
-    before = resource.getrlimit(resource.RLIMIT_DATA)
-    bound = psutil.Process().memory_info().data + int(_SHARE_OF_FREE_MEMORY * free_memory())
-    limits = [limit for limit in (bound, *before) if limit != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_DATA, (min(limits), before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, before)
-
-
-@contextlib.contextmanager
-def limited(seconds: float) -> Iterator[None]:
-    """End this process if a block takes longer, even within compiled code: what hangs must not hold a core for ever."""
-    if math.isfinite(seconds):
-        faulthandler.dump_traceback_later(seconds, exit=True)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-
-
-def free_memory() -> int:
-    """Return the memory that is free for this process, on the machine and within its container [bytes]."""
-    import psutil
-
-    free = int(psutil.virtual_memory().available)
-    with contextlib.suppress(OSError, ValueError):  # not in a container, or in one without a limit
-        allowed = int(Path("/sys/fs/cgroup/memory.max").read_text())
-        free = min(free, allowed - int(Path("/sys/fs/cgroup/memory.current").read_text()))
-    return max(0, free)
 
 
 @contextlib.contextmanager

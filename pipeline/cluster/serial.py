@@ -2,14 +2,12 @@
 
 import contextlib
 import itertools
-import math
-import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, Ticket, failure, name_of, references
-from pipeline.cluster.process import memory_bounded, signals_unwind
+from pipeline.cluster.process import signals_unwind
 
 
 @contextlib.contextmanager
@@ -32,10 +30,6 @@ class _Serial:
 
         return float(n_cuda_devices())
 
-    @property
-    def n_running(self) -> int:
-        return len(self._waiting)
-
     def share(self, value: Any) -> Handle:
         return Handle(value)
 
@@ -45,7 +39,6 @@ class _Serial:
         *args: Any,
         n_cores: float = 1.0,  # noqa: ARG002 (a call gets whatever this process has)
         n_gpus: float = 0.0,  # noqa: ARG002
-        seconds: float = math.inf,  # noqa: ARG002
         name: str = "",
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
@@ -57,10 +50,9 @@ class _Serial:
             return None
         ticket, function, args = self._waiting.popleft()
         try:
-            with memory_bounded():
-                return ticket, Done(function(*args))
+            return ticket, Done(function(*args))
         except Exception as error:
-            return ticket, failure(ticket.name, error, traceback.format_exc())
+            return ticket, failure(ticket.name, error)
 
     def cancel_all(self) -> None:
         self._waiting.clear()

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import psutil
 from packaging.requirements import Requirement
 
 from pipeline.cluster import Cluster, TaskFailed, ray_cluster, session
 from pipeline.cluster.on_ray import OBJECT_STORE_BYTES
-from pipeline.cluster.process import free_memory, number_of_cores
+from pipeline.cluster.process import number_of_cores
 from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -55,7 +56,7 @@ def examine(settings: Settings, store: Path, *, n_workers: int | None) -> Iterat
     n_workers = number_of_cores() if n_workers is None else n_workers
     yield _versions()
     yield _processor(n_workers)
-    yield _memory(n_workers, free_memory())
+    yield _memory(n_workers, psutil.virtual_memory().available)
     yield from examine_store(store, settings)
     yield _engine(settings)
     if n_workers:

@@ -14,9 +14,8 @@ from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
 from pipeline.store import disk
 from pipeline.store.store import Store
-from pipeline.workflow.graph import StageRun, results_of
+from pipeline.workflow.graph import survey
 from pipeline.workflow.record import settings_of
-from pipeline.workflow.stage import Results
 
 
 @dataclass(frozen=True)
@@ -41,15 +40,11 @@ def find_garbage(store: Store) -> Garbage:
                 f"again, or delete {store.study_path(name)} to forget it; then collect garbage."
             ) from error
     return Garbage(
-        items=tuple(item for item in _items(store, committed=True) if item not in needed),
-        uncommitted=tuple(_items(store, committed=False)),
-        temporary=tuple(store.temporary()),
+        items=tuple(item for item in store.items() if item not in needed),
+        uncommitted=tuple(store.items(committed=False)),
+        temporary=tuple(sorted(path for path in store.root.glob("studies/**/.*.tmp") if path.is_file())),
         sessions=tuple(session.abandoned_sessions()),
     )
-
-
-def _items(store: Store, *, committed: bool) -> Iterator[tuple[str, str]]:
-    yield from ((stage, key) for stage in store.stages() for key in store.keys(stage, committed=committed))
 
 
 def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
@@ -63,19 +58,14 @@ def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
             raise PuddleError(f"{path}: expected study {name}'s {item.stage} {item.label}, found no file.")
         yield item.stage, item.key
     damage: list[str] = []
-    settings = settings_of(record)
-    upstream: dict[str, Results] = {}
-    for stage in STAGES:
-        chains = StageRun(stage, settings, upstream, store, damage.append).chains()
-        upstream[stage.name] = results_of(stage, chains)
-        yield from ((stage.name, manifest.key) for progress in chains for manifest in progress.manifests)
+    yield from survey(settings_of(record), STAGES, store, say=damage.append).items
     if damage:
         raise PuddleError(damage[0])
 
 
 def remove_garbage(store: Store, garbage: Garbage) -> None:
     """Remove garbage. The caller has held the store alone since it was found."""
-    for path in garbage.temporary:  # first: they are recognised by the reports in the store
+    for path in garbage.temporary:
         with disk.explained("removing", path):
             disk.unlink(path)
     for stage, key in (*garbage.items, *garbage.uncommitted):

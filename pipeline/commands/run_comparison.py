@@ -87,7 +87,7 @@ def read_kit(folder: Path) -> BuiltRobot:
     """Read a kit's folder. Raises PuddleError if it is none, or lacks its timeline or simulation."""
     path = folder / KIT_MANIFEST
     try:
-        document = decode_json(disk.read(path), str(path))
+        document = decode_json(path.read_bytes(), str(path))
     except OSError as error:
         raise PuddleError(
             f"{folder}: expected a kit of `puddle fabricate`, found no {path.name}: {error.strerror}"

@@ -23,8 +23,8 @@ from pipeline.store.design_table import read_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of
+from pipeline.workflow.graph import survey
 from pipeline.workflow.identity import Arm
-from pipeline.workflow.recorded import recorded_results
 from pipeline.workflow.stage import Execution, Files, MissingInputs
 from tasks.analysis.filmed import NO_MEMBER, median_member
 from tasks.design import Designs
@@ -280,7 +280,7 @@ def _networks(settings: Settings, store: Store, data_set: DataSetId) -> _Network
     damage: list[str] = []
     with store.lock_to_read():
         record = store.read_study(settings.name)
-        upstream = recorded_results(settings, record, (COLLECT, TRAIN), store, say=damage.append).upstream
+        upstream = survey(settings, (COLLECT, TRAIN), store, record=record, say=damage.append).upstream
         if damage:
             raise PuddleError(damage[0])
         inputs = environments.network_inputs(ensemble_ids(settings, data_set), upstream)

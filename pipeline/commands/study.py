@@ -17,7 +17,6 @@ from pipeline.errors import PuddleError
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
     from pipeline.store.store import Store
-    from pipeline.workflow.dispatcher import Limits
     from pipeline.workflow.stage import AnyStage, Upstream
 
 STAGE_SUMMARIES = {
@@ -67,7 +66,6 @@ def run_stages(
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
     recompute: Collection[str] = (),
     tracking_uri: str | None = None,
-    limits: Limits | None = None,
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE.
 
@@ -77,7 +75,6 @@ def run_stages(
         open_cluster: starts or joins the cluster, once there is something to compute.
         recompute: names of stages whose results are discarded first.
         tracking_uri: an MLflow server; the store's own database by default.
-        limits: how long an item may take, if not as long as usual.
 
     Raises:
         PuddleError: the stages to recompute are not among those to run.
@@ -85,7 +82,6 @@ def run_stages(
     from pipeline.commands.time_model import expected_seconds
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
-    from pipeline.workflow.dispatcher import Limits
     from pipeline.workflow.driver import drive
     from pipeline.workflow.progress import progress
 
@@ -110,7 +106,6 @@ def run_stages(
             how_to_run=options.command,
             source=options.source,
             expected_seconds=functools.partial(expected_seconds, settings, store=store),
-            limits=limits or Limits(),
         )
     if wanted[-1] is STAGES[-1]:
         _show_headline(settings, upstream, store, options.named(settings.name))
@@ -182,10 +177,10 @@ def _check_inputs(options: StudyOptions, settings: Settings, first: AnyStage) ->
     until = STAGES[: STAGES.index(first)] or [COLLECT]
     if (store := options.find_store()) is None:
         plans = [(stage, [ChainProgress(chain) for chain in stage.plan(settings)]) for stage in until]
-        upstream = {stage.name: results_of(stage, chains) for stage, chains in plans}
+        upstream: Upstream = {stage.name: results_of(stage, chains) for stage, chains in plans}
     else:
         with store.lock_to_read():
-            upstream = survey(settings, until, store, say=lambda line: None)  # the driver names damage
+            upstream = survey(settings, until, store).upstream  # the driver names damage
     require(settings, first, STAGES, upstream, how_to_run=options.command)
     if first is COLLECT and upstream["collect"].unfinished:
         check_tracks(settings)

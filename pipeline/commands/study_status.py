@@ -18,7 +18,6 @@ from pipeline.stages.report import PAGE
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import other_code, survey
 from pipeline.workflow.record import differences, preset_of, settings_of
-from pipeline.workflow.recorded import recorded_results
 
 _LINE_LENGTH = 80
 _MOST_DIFFERENCES = 6
@@ -97,7 +96,7 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
         with_diverged: whether to look for designs that diverged, which reads the curves of every trial.
     """
     notes: list[str] = []
-    found = recorded_results(settings, record, STAGES, store, say=notes.append)
+    found = survey(settings, STAGES, store, record=record, say=notes.append)
     driver = store.driver_of(settings.name)
     failed: dict[str, dict[str, str]] = defaultdict(dict)
     for one in record.failed if record else ():
@@ -160,7 +159,7 @@ def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
 
     An item's digest covers the list of its files with their digests; the report and MLflow show the same one.
     """
-    for results in survey(settings, STAGES, store, say=lambda line: None).values():
+    for results in survey(settings, STAGES, store).upstream.values():
         for chain, manifests in results.done.items():
             for index, manifest in enumerate(manifests):
                 yield f"{manifest.digest}  {results.stage}/{chain.label}/{index}"

@@ -1,4 +1,4 @@
-"""The terminal: lines with what could act on it escaped, exit codes, and what is shown when a command is stopped."""
+"""The terminal: lines, exit codes, and what is shown when a command is stopped."""
 
 import atexit
 import contextlib
@@ -14,7 +14,6 @@ import typer
 from typer.core import TyperGroup
 
 from pipeline.errors import PuddleError
-from pipeline.text import printable
 
 INCOMPLETE = 1  # the study ran to its end but some work items or designs failed; the message names them
 USER_ERROR = 2  # the user can correct the mistake
@@ -33,13 +32,13 @@ def to_stdout(*lines: str) -> None:
     """Print lines of results. Raises OutputClosed or PuddleError if that is not possible."""
     with _written():
         for line in lines:
-            typer.echo(printable(line))
+            typer.echo(line)
 
 
 def to_stderr(line: str) -> None:
     """Print a line about the course of a command, if that is possible: the terminal may be closed."""
     try:
-        typer.echo(printable(line), err=True)
+        typer.echo(line, err=True)
     except BrokenPipeError:
         raise
     except OSError:

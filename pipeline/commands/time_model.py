@@ -18,8 +18,8 @@ from pipeline.stages import STAGES, environments
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.graph import StageRun, results_of
-from pipeline.workflow.stage import AnyStage, Chain, Results, Upstream
+from pipeline.workflow.graph import survey
+from pipeline.workflow.stage import AnyStage, Chain, Upstream
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
@@ -88,7 +88,7 @@ def forecast_stages(settings: Settings, store: Store | None = None) -> list[Stag
         settings: the study's settings.
         store: holds what is done of it and tells what it cost, if there is one.
     """
-    upstream: dict[str, Results] = {}
+    upstream: Upstream = {}
     costs: dict[_Kind, _Cost] = {}
     if store is not None:
         with store.lock_to_read():
@@ -134,22 +134,21 @@ def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Ma
     return StageForecast(stage.name, stage.unit, n_units, total, longest, n_bytes, " and ".join(sorted(sources)))
 
 
-def _survey(settings: Settings, store: Store) -> tuple[dict[str, Results], dict[_Kind, _Cost]]:
+def _survey(settings: Settings, store: Store) -> tuple[Upstream, dict[_Kind, _Cost]]:
     """Find what the store has of a study, and the median cost of a unit of each kind."""
-    upstream: dict[str, Results] = {}
+    done = survey(settings, STAGES, store)
     samples: dict[_Kind, list[_Cost]] = {}
     for stage in STAGES:
-        chains = StageRun(stage, settings, upstream, store, lambda line: None).chains()
         weights = {chain.identity: chain.weight for chain in stage.plan(settings)}
-        for progress in chains:
+        for progress in done.chains[stage.name]:
             weight = weights[progress.chain.identity]
             for manifest, units in zip(progress.manifests, progress.chain.units, strict=False):
                 if units * weight > 0 and _on_one_core(manifest):
                     n_bytes = sum(entry.n_bytes for entry in manifest.files.values())
                     cost = _Cost(manifest.record["seconds"] / (units * weight), n_bytes / (units * weight))
                     samples.setdefault(_kind(stage, progress.chain), []).append(cost)
-        upstream[stage.name] = results_of(stage, chains)
-    return upstream, {kind: _Cost(*map(statistics.median, zip(*found, strict=True))) for kind, found in samples.items()}
+    costs = {kind: _Cost(*map(statistics.median, zip(*found, strict=True))) for kind, found in samples.items()}
+    return done.upstream, costs
 
 
 def _on_one_core(manifest: Manifest) -> bool:

@@ -1,26 +1,21 @@
 """What all pages share: templates, the frame with its styles, and figures as a part of the page."""
 
 import re
+from html import escape
 from importlib.resources import files
 
 import jinja2
 from markupsafe import Markup
 
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing
-from pipeline.text import escape, printable
 from tasks.world import ENVIRONMENTS
 
 _MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text is then as large as a heading
 
 
-def _final(value: object) -> object:
-    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
-
-
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("pipeline.report", "."),
     autoescape=True,
-    finalize=_final,
     undefined=jinja2.StrictUndefined,
     trim_blocks=True,
     lstrip_blocks=True,

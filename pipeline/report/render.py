@@ -10,13 +10,13 @@ import textwrap
 import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from html import escape
 from itertools import zip_longest
 from typing import Any
 
 from markupsafe import Markup
 
 from pipeline.store.tables import columns_of, csv_of
-from pipeline.text import escape
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.estimates import Estimate, Mean
 

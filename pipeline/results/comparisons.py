@@ -40,7 +40,7 @@ def compare_studies(a: Study, b: Study) -> Compared:
     if (a.store.root, a.name) == (b.store.root, b.name):
         raise PuddleError(f"expected two studies, got study {a.name} twice; --store-b names another store for B")
     of_a, of_b = (study.settings.model_dump(mode="json", exclude={"name", "work"}) for study in (a, b))
-    changes = [(one.name, json.dumps(one.new), json.dumps(one.old)) for one in setting_changes(of_b, of_a)]
+    changes = [(name, json.dumps(new), json.dumps(old)) for name, old, new in setting_changes(of_b, of_a)]
     pairs = [((name, quantity), (name, quantity)) for name in ENVIRONMENTS for quantity in QUANTITIES]
     pairs.remove((("true_slush", "predicted"),) * 2)  # which is zero-shot
     rows = compare(a.trials(), b.trials(), pairs)

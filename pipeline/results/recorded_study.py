@@ -23,9 +23,9 @@ from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store, StudyRecord
+from pipeline.workflow.graph import Survey, survey
 from pipeline.workflow.identity import trials_of
 from pipeline.workflow.record import recorded_study, settings_of
-from pipeline.workflow.recorded import RecordedResults, recorded_results
 from pipeline.workflow.stage import Upstream
 from tasks.analysis.scores import ScoredTrial
 from tasks.design import Designs
@@ -70,9 +70,9 @@ class Study:
         return self.record.name
 
     @cached_property
-    def _recorded(self) -> RecordedResults:
+    def _recorded(self) -> Survey:
         with self.store.lock_to_read():
-            return recorded_results(self.settings, self.record, STAGES, self.store)
+            return survey(self.settings, STAGES, self.store, record=self.record)
 
     @property
     def upstream(self) -> Upstream:

@@ -13,7 +13,6 @@ from pipeline.fabrication.kit_files import KIT_MANIFEST, read_calibration, read_
 from pipeline.servo.log import ServoLog, default_path
 from pipeline.servo.player import NEUTRAL_HOLD, Clock, Frames, Player, PlayState, frames_of, stopped_by_signals
 from pipeline.servo.servo_controller import ControllerError, DryRunController, ServoController
-from pipeline.store import disk
 from pipeline.store.encoding import decode_json
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import FRAME_RATE_HZ, TimelineError, pulses
@@ -112,7 +111,7 @@ def play_timeline(options: PlayOptions, *, confirm: Confirm, say: Say, clock: Cl
 def _n_faults(manifest: Path) -> int:
     if not manifest.is_file():
         return 0
-    kit = decode_json(disk.read(manifest), str(manifest))
+    kit = decode_json(manifest.read_bytes(), str(manifest))
     return sum(finding["severity"] == "fault" for finding in kit["findings"])
 
 

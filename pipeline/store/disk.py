@@ -14,10 +14,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.locks import wait_for_lock
-
-MAX_DOCUMENT_BYTES = 2**26  # largest JSON document [bytes]: the record of a study of half a million work items
+from pipeline.errors import PuddleError
 
 
 def write(path: Path, data: bytes) -> None:
@@ -99,13 +96,6 @@ def make_folders(root: Path, folder: Path) -> None:
             fsync(path.parent)
 
 
-def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
-    """Read a file; one longer than ``at_most`` bytes is a DamagedArtifact."""
-    if (n_bytes := path.stat().st_size) > at_most:
-        raise DamagedArtifact(f"{path}: expected at most {at_most} bytes, got {n_bytes}")
-    return path.read_bytes()
-
-
 def digest_of(path: Path) -> str:
     """Return a file's SHA-256 without reading it whole into memory."""
     with path.open("rb") as file:
@@ -131,10 +121,21 @@ def locked(path: Path, *, seconds: float = 120.0) -> Iterator[None]:
         seconds: longest time to wait [s]; a commit takes milliseconds.
 
     Raises:
-        PuddleError: another process still holds it; the message names that process.
+        PuddleError: another process still holds it, as one does that is stopped (Ctrl-Z).
     """
     with path.open("a+b") as file:
-        wait_for_lock(file.fileno(), path, seconds=seconds)
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= end:
+                    raise PuddleError(
+                        f"{path} has been locked for {seconds:.0f} s by another process of puddle. Continue it if it "
+                        f"is stopped (fg), or end it. Committed results are safe: the same command resumes."
+                    ) from None
+                time.sleep(0.01)
         yield
 
 

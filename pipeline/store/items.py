@@ -58,19 +58,13 @@ class Items:
 
         Raises:
             Irreproducible: it was committed before with other contents, which stay.
-            PuddleError: the disk is full, read-only or failing, or a file is too long to be read again.
+            PuddleError: the disk is full, read-only or failing.
             ValueError: the key is not that of the identity, or a file name is invalid.
         """
         if key != key_of(identity):
             raise ValueError(f"{stage} {key}: expected the key of its identity, {key_of(identity)}")
         if not files or not manifests.are_file_names(files):
             raise ValueError(f"{stage} {key}: expected file names like weights.safetensors, got {sorted(files)}")
-        for name, data in files.items():
-            if len(data) > manifests.MAX_FILE_BYTES:
-                raise PuddleError(
-                    f"{stage} {key}: expected at most {manifests.MAX_FILE_BYTES} bytes of {name}, got {len(data)}. Cut "
-                    f"the study's work into smaller items."
-                )
         manifest = Manifest(
             stage=check_name(stage, "stage"),
             key=key,
@@ -92,10 +86,6 @@ class Items:
             disk.place(folder / MANIFEST, manifests.encode_manifest(manifest))
         return manifest
 
-    def listing(self, stage: str, key: str) -> Manifest | None:
-        """Return an item's manifest without looking at its files; otherwise as :meth:`manifest`."""
-        return self._manifest(stage, key, lambda path, entry: None)
-
     def manifest(self, stage: str, key: str) -> Manifest | None:
         """Return an item's manifest, or None if the item was never committed; raise DamagedArtifact if it is damaged.
 
@@ -111,7 +101,7 @@ class Items:
         folder = self._item(stage, key)
         with self._damage(stage, key):
             try:
-                data = disk.read(folder / MANIFEST)
+                data = (folder / MANIFEST).read_bytes()
             except FileNotFoundError:
                 return None
             manifest = manifests.decode_manifest(data, stage=stage, key=key, source=str(folder / MANIFEST))
@@ -157,16 +147,22 @@ class Items:
                 if valid and os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
                     yield key
 
+    def items(self, *, committed: bool = True) -> Iterator[tuple[str, str]]:
+        """Yield stage and key of every item; or of those whose commit was interrupted."""
+        yield from ((stage, key) for stage in self.stages() for key in self.keys(stage, committed=committed))
+
     def item_bytes(self, stage: str, key: str) -> int:
         """Return the total length of an item's files [bytes]."""
         return disk.size_bytes(self._item(stage, key))
 
-    def computed_again(self) -> str:
-        """Return advice for a damaged or missing item."""
+    def _damaged(self, stage: str, key: str, what: str) -> DamagedArtifact:
+        """Return the error for a damaged or missing item, with advice."""
         discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
-        return (
-            f"It must be computed again; nothing else is lost. A study that needs it does so itself; otherwise "
-            f"`{discard}` discards what is damaged, and `puddle study` with the study's settings computes it again."
+        return DamagedArtifact(
+            f"{what}. It must be computed again; nothing else is lost. A study that needs it does so itself; otherwise "
+            f"`{discard}` discards what is damaged, and `puddle study` with the study's settings computes it again.",
+            stage=stage,
+            key=key,
         )
 
     @contextlib.contextmanager
@@ -176,8 +172,7 @@ class Items:
             with disk.explained(f"reading {stage} {key[:12]}", self.root):
                 yield
         except DamagedArtifact as damage:
-            message = f"{damage}. Item {stage} {key[:12]} is damaged. {self.computed_again()}"
-            raise DamagedArtifact(message, stage=stage, key=key) from damage
+            raise self._damaged(stage, key, f"{damage}. Item {stage} {key[:12]} is damaged") from damage
 
     # -- paths ---------------------------------------------------------------------------------------------------------
 

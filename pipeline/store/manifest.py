@@ -11,7 +11,6 @@ from pipeline.store.encoding import Json, canonical_json, decode_document, diges
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
 MANIFEST = "manifest.json"
-MAX_FILE_BYTES = 2**30  # largest file of an item [bytes]; files are read into memory whole
 
 _FILE_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}(\.[a-z0-9]{1,16})?")
 

@@ -1,4 +1,4 @@
-"""A folder that puddle makes for the user: written completely or not at all, and never over anything but its own kind.
+"""A folder that puddle makes for the user: written once it is complete, and never over anything but its own kind.
 
 A manifest in the folder tells that puddle made it, and gives the SHA-256 of every file. The next run replaces those
 files; files that the user added or changed stay.
@@ -7,8 +7,7 @@ files; files that the user added or changed stay.
 from __future__ import annotations
 
 import contextlib
-import os
-import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,13 +22,11 @@ class NewFolder:
     """A folder while it is written beside the place where it will be."""
 
     path: Path
-    preserved: list[str] = field(default_factory=list)  # a line for each of the user's files, once it is in place
+    preserved: list[str] = field(default_factory=list)  # a line for each file that the user changed, once in place
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file."""
-        path = self.place(name)
-        disk.write(path, content)
-        disk.fsync(path)
+        disk.write(self.place(name), content)
 
     def place(self, name: str) -> Path:
         """Return the path at which to write a file."""
@@ -39,11 +36,8 @@ class NewFolder:
 
     def digests(self) -> dict[str, str]:
         """Return the SHA-256 of every file by name."""
-        return {
-            path.relative_to(self.path).as_posix(): disk.digest_of(path)
-            for path in sorted(self.path.rglob("*"))
-            if path.is_file()
-        }
+        paths = [path for path in sorted(self.path.rglob("*")) if path.is_file()]
+        return {path.relative_to(self.path).as_posix(): disk.digest_of(path) for path in paths}
 
 
 @dataclass(frozen=True)
@@ -58,88 +52,61 @@ class FolderKind:
     def check_place(self, folder: Path) -> Path:
         """Return the resolved path of a folder that is new, empty or of this kind. Raises PuddleError for any other."""
         with disk.explained("looking for the folder", folder, advice="run the same command again"):
-            return self._checked(folder)
+            self._earlier(folder)
+            return disk.resolved(folder)
 
-    def _checked(self, folder: Path) -> Path:
-        expected = f"expected a new folder or {self.word}"
-        other = "Choose another one with --out."
-        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise PuddleError(f"{folder}: {expected}, found a file or a link. {other}")
-        place = disk.resolved(folder)
+    def _earlier(self, folder: Path) -> dict[str, str]:
+        """Return the SHA-256 of every file that an earlier run wrote, by name."""
+        expected, other = f"expected a new folder or {self.word}", "Choose another one with --out."
         if not folder.exists():
             if not folder.parent.is_dir():
                 advice = "Create it, or choose another folder with --out."
                 raise PuddleError(f"{folder}: {folder.parent} does not exist. {advice}")
-            return place
-        if Path.cwd().is_relative_to(place):  # the folder is replaced, and the shell would stay in the old one
-            raise PuddleError(f"{folder}: can't replace the current directory. Choose another folder with --out.")
+            return {}
+        if not folder.is_dir():
+            raise PuddleError(f"{folder}: {expected}, found a file. {other}")
         names = sorted(path.name for path in folder.iterdir())
         if not names:
-            return place
+            return {}
         if self.manifest not in names:
             raise PuddleError(f"{folder}: {expected}, found {', '.join(names[:3])} and no {self.manifest}. {other}")
         source = str(folder / self.manifest)
-        document = decode_json(disk.read(folder / self.manifest), source)
+        document = decode_json((folder / self.manifest).read_bytes(), source)
         check_format(document, schema=self.schema, version=self.version, source=source)
-        return place
+        return dict(document["files"])
 
     @contextlib.contextmanager
     def replace(self, folder: Path, manifest: Mapping[str, Json]) -> Iterator[NewFolder]:
-        """Write a folder beside its place, then rename it into place.
-
-        Files of the replaced folder that the user added or changed are preserved.
+        """Write files beside a folder, then move them into it, its manifest last.
 
         Args:
-            folder: where it will be.
+            folder: where they will be.
             manifest: content of its manifest, without the digests of the files.
 
         Yields:
             The new folder; its files are put in place when the block ends without an error.
 
         Raises:
-            PuddleError: the place can't be used, or the disk fails; what was there before is still there.
+            PuddleError: the place can't be used, or the disk fails.
         """
         folder = self.check_place(folder)
-        new = NewFolder(folder.with_name(f".{folder.name}.{os.getpid()}.new"))
-        old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
-        with disk.explained(f"writing {self.word}", folder, advice="run the same command again to replace it"):
-            try:
-                new.path.mkdir()
-                yield new
-                digests: dict[str, Json] = {**new.digests()}
-                self._preserve(folder, new, digests)
-                named = {**manifest, "schema": self.schema, "version": self.version, "files": digests}
-                new.write(self.manifest, encode_json(named))
-                if folder.exists():
-                    disk.rename(folder, old)
-                disk.rename(new.path, folder)
-                disk.fsync(folder.parent)
-            except BaseException:  # also on Ctrl-C: the user's files have no other copy
-                if old.exists():
-                    if folder.exists():
-                        disk.rename(folder, new.path)
-                    disk.rename(old, folder)
-                raise
-            finally:
-                shutil.rmtree(new.path, ignore_errors=True)
-            shutil.rmtree(old, ignore_errors=True)
-
-    def _preserve(self, folder: Path, new: NewFolder, made: Mapping[str, Json]) -> None:
-        """Copy the files that the user added or changed, under the names that they will have in the new folder."""
-        if not (folder / self.manifest).is_file():
-            return
-        manifest = decode_json(disk.read(folder / self.manifest), str(folder / self.manifest))
-        digests = manifest["files"] if isinstance(manifest.get("files"), dict) else {}
-        for path in sorted(folder.rglob("*")):
-            name = path.relative_to(folder).as_posix()
-            if name == self.manifest or path.is_symlink() or not path.is_file():
-                continue
-            if (found := disk.digest_of(path)) == digests.get(name) or found == made.get(name):
-                continue
-            new_name, number = name, 0
-            while (new.path / new_name).exists():
-                number += 1
-                new_name = path.with_stem(f"{path.stem}-yours-{number}").relative_to(folder).as_posix()
-            new.write(new_name, path.read_bytes())
-            changed = "" if new_name == name else f", which you had changed, as {new_name}"
-            new.preserved.append(f"Preserved {name}{changed}.")
+        with (
+            disk.explained(f"writing {self.word}", folder, advice="run the same command again to replace it"),
+            tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside,
+        ):
+            new = NewFolder(Path(beside))
+            yield new
+            digests, earlier = new.digests(), self._earlier(folder)
+            for name in sorted({*digests, *earlier}):
+                path = folder / name
+                found = disk.digest_of(path) if path.is_file() else None
+                if found not in (None, earlier.get(name), digests.get(name)):
+                    disk.rename(path, own := disk.unused(path))
+                    new.preserved.append(f"Preserved {name}, which you had changed, as {own.name}.")
+                if name in digests:
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    disk.rename(new.path / name, path)
+                else:
+                    disk.unlink(path)
+            named: dict[str, Json] = {**manifest, "schema": self.schema, "version": self.version, "files": {**digests}}
+            disk.place(folder / self.manifest, encode_json(named))

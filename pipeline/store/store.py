@@ -19,7 +19,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import fcntl
-import functools
 import os
 import platform
 import sys
@@ -31,12 +30,10 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.locks import holders_of
 from pipeline.store import disk
 from pipeline.store.encoding import Json, decode_document, encode_document
 from pipeline.store.items import Items, check_name
-from pipeline.store.manifest import are_file_names
-from pipeline.text import printable
+from pipeline.store.manifest import Manifest, are_file_names
 
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
@@ -71,6 +68,12 @@ class StudyRecord:
     source: str = ""  # "preset laptop" or the path of a settings file; empty if unknown
 
 
+class _Use(NamedTuple):
+    study: str
+    label: str  # of the item, in the study
+    driven: bool  # whether a process drives the study
+
+
 @dataclass(frozen=True)
 class Store(Items):
     """An existing store; see :meth:`open`."""
@@ -87,7 +90,7 @@ class Store(Items):
                     raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
                 cls._create(root)
             try:
-                decode_document(disk.read(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
+                decode_document(path.read_bytes(), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
             except DamagedArtifact as damage:
                 raise DamagedArtifact(f"{damage}. Copy store.json from any other store: all are alike.") from None
         return cls(root)
@@ -106,40 +109,56 @@ class Store(Items):
             disk.place(root / "store.json", encode_document({}, schema=STORE_SCHEMA, version=STORE_VERSION))
 
     def verify(
-        self, study: str | None = None, *, checked: Callable[[int], None] = lambda n_bytes: None
+        self, study: str | None = None, *, checked: Callable[[int], object] = lambda n_bytes: None
     ) -> list[PuddleError]:
-        """Hash everything again, or what one study has on record.
+        """Hash everything again: items, records of studies and their exported reports; or those of one study.
 
         Args:
             study: name of the only study to verify.
-            checked: called with the length of each item or record after it has been verified [bytes].
+            checked: called with the length of each item after it has been verified [bytes].
 
         Returns:
-            One error for each problem. Damage to an item is a DamagedArtifact with its stage and key. A file of a newer
-            puddle is an OtherVersion, because discarding would not mend it.
+            One error for each problem. Damage to an item, or its loss, is a DamagedArtifact with its stage and key. A
+            file of a newer puddle is an OtherVersion, because discarding would not mend it.
         """
-        wrong = []
-        for path, check in self._checks(study):
+        wrong: list[PuddleError] = []
+        uses = {item: list[_Use]() for item in (self.items() if study is None else ())}
+        for name in self._names("studies") if study is None else [study]:
+            driven = self.driver_of(name) is not None  # asked first: a driver writes the record, then the report
             try:
-                check()
+                record = self.read_study(name)
+                if record is None and not driven:
+                    path = self.study_path(name) / "study.json"
+                    raise DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}")
             except PuddleError as error:
                 wrong.append(error)
-            checked(disk.size_bytes(path))
+                continue
+            for item in record.items if record else ():
+                uses.setdefault((item.stage, item.key), []).append(_Use(name, item.label, driven))
+        for (stage, key), used in sorted(uses.items()):
+            try:
+                manifest = self.verified(stage, key)
+                if manifest is None:
+                    what = f"the manifest of study {used[0].study}'s {stage} {used[0].label}"
+                    raise self._damaged(stage, key, f"{self.manifest_path(stage, key)}: expected {what}, found no file")
+                checked(sum(entry.n_bytes for entry in manifest.files.values()))
+                for use in used if stage == "report" else ():
+                    if not use.driven:
+                        wrong += self._check_export(use.study, manifest)
+            except PuddleError as error:
+                wrong.append(error)
+                checked(0)
         return wrong
 
-    def bytes_to_verify(self, study: str | None = None) -> int:
-        """Return the total length of what :meth:`verify` reads [bytes]; the MLflow mirror is not part of it."""
-        return sum(disk.size_bytes(path) for path, _ in self._checks(study))
-
-    def _checks(self, study: str | None) -> Iterator[tuple[Path, Callable[[], object]]]:
-        """Yield the paths to verify, each with its check."""
-        record = self.read_study(study) if study is not None else None
-        listed = {(item.stage, item.key) for item in record.items} if record else set()
-        for item in ((stage, key) for stage in self.stages() for key in self.keys(stage)):
-            if study is None or item in listed:
-                yield self._item(*item), functools.partial(self.verified, *item)
-        for name in self.studies() if study is None else [study]:
-            yield self.study_path(name), functools.partial(self.read_study, name)
+    def _check_export(self, name: str, manifest: Manifest) -> Iterator[PuddleError]:
+        """Yield what differs in a study's exported report from the item that it is a copy of."""
+        for file, entry in manifest.files.items():
+            path = self.export_path(name) / file
+            with disk.explained("reading the report", path):
+                found = disk.digest_of(path) if path.is_file() else "no file"
+            if found != entry.sha256:
+                advice = f"It is a copy of a file in the store: running study {name} restores it."
+                yield DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, found {found}. {advice}")
 
     def size_bytes(self) -> int:
         """Return the total length of all files [bytes]."""
@@ -153,12 +172,6 @@ class Store(Items):
         rows = {"items": list(map(list, record.items)), "failed": list(map(list, record.failed))}
         body: dict[str, Json] = {"name": name, "settings": record.settings, "source": record.source, **rows}
         data = encode_document(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
-        if len(data) > disk.MAX_DOCUMENT_BYTES:
-            raise PuddleError(
-                f"study {name}: expected a record of at most {disk.MAX_DOCUMENT_BYTES:,} bytes, got {len(data):,} for "
-                f"{len(record.items):,} items. Use fewer, larger items: raise work.generations_per_item or "
-                f"work.throws_per_item."
-            )
         with disk.explained(f"writing the record of study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
             disk.place(folder / "study.json", data)
@@ -171,7 +184,7 @@ class Store(Items):
         path = self.study_path(name) / "study.json"
         with disk.explained(f"reading study {name}", self.root):
             try:
-                data = disk.read(path)
+                data = path.read_bytes()
             except FileNotFoundError:
                 return None
         try:
@@ -227,9 +240,7 @@ class Store(Items):
     def _share(self, held: contextlib.ExitStack, *, only_ask: bool = False) -> None:
         in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH, only_ask=only_ask)
         if in_use is None:
-            raise PuddleError(
-                f"{self.root}: {holders_of(self.root / 'use.lock')} is removing items. Wait until it ends."
-            )
+            raise PuddleError(f"{self.root}: another process of puddle is removing items. Wait until it ends.")
         held.callback(os.close, in_use)
 
     @contextlib.contextmanager
@@ -241,7 +252,7 @@ class Store(Items):
             drivers = {name: self.driver_of(name) for name in self._names("studies")}
             driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
             raise PuddleError(
-                f"{self.root} is in use: {'; '.join(driven) or holders_of(self.root / 'use.lock')}. Wait until it "
+                f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle reads it'}. Wait until it "
                 f"ends, or stop it (Ctrl-C); its committed results are safe."
             )
         try:
@@ -263,11 +274,7 @@ class Store(Items):
             return None
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
-        """Write a study's report to its folder, replacing earlier files, and return the folder.
-
-        Other files in the folder are removed only if they equal a file of some report in the store, because then an
-        earlier export wrote them. A user's own files stay.
-        """
+        """Write a study's report to its folder, over the earlier one, and return the folder."""
         if not are_file_names(files):
             raise ValueError(f"study {name}: expected file names like index.html, got {sorted(files)}")
         folder = self.export_path(name)
@@ -275,30 +282,7 @@ class Store(Items):
             disk.make_folders(self.root, folder)
             for file, data in sorted(files.items()):
                 disk.place(folder / file, data)
-            others = {path for path in folder.iterdir() if path.name not in files and path.is_file()}
-            reported = self._reported() if others else set()
-            for path in others:
-                if (path.name, disk.digest_of(path)) in reported:
-                    disk.unlink(path)
-                    disk.fsync(folder)
         return folder
-
-    def _reported(self) -> set[tuple[str, str]]:
-        """Return the names and SHA-256s of the files of every report in the store."""
-        reported: set[tuple[str, str]] = set()
-        for key in self.keys("report"):
-            with contextlib.suppress(PuddleError):  # damaged, or a newer puddle's; most likely of another study
-                listed = self.listing("report", key)
-                reported |= {(file, entry.sha256) for file, entry in listed.files.items()} if listed else set()
-        return reported
-
-    def temporary(self) -> list[Path]:
-        """Return the temporary files, known by their names, that a killed process left in the folders of studies."""
-        reported = sorted({file for file, _ in self._reported()})
-        names = self._names("studies")
-        files = [self.study_path(name) / "study.json" for name in names]
-        files += [self.export_path(name) / file for name in names for file in reported]
-        return [path for path in map(disk.temporary, files) if path.is_file()]
 
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` creates."""
@@ -314,4 +298,5 @@ _RECORD = TypeAdapter(StudyRecord)
 
 def _signature() -> bytes:
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    return printable(f"process {os.getpid()} on {platform.node()} since {started} ({' '.join(sys.argv)})").encode()
+    words = f"process {os.getpid()} on {platform.node()} since {started} ({' '.join(sys.argv)})"
+    return words.encode(errors="replace")

@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import socket
 import sqlite3
 import urllib.error
 import urllib.request
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from pipeline.errors import PuddleError
 
@@ -27,8 +25,6 @@ MLFLOW_ENVIRONMENT = {
 """Environment variables for MLflow in this process and for its server; the user's own values win."""
 
 _SECONDS_TO_ANSWER = 3.0  # time for a server to answer before it counts as unreachable
-_A_QUESTION = "/api/2.0/mlflow/experiments/search?max_results=1"  # /health would not ask the server's database
-_PORTS = {"postgresql": 5432, "mysql": 3306, "mssql": 1433}
 
 
 def database_uri(store: Path) -> str:
@@ -100,23 +96,13 @@ def check_reachable(uri: str) -> None:
     """Check within seconds that a server answers, where MLflow itself would try for minutes.
 
     Raises:
-        PuddleError: it does not answer, or reports that it fails.
+        PuddleError: it does not.
     """
-    parts = urlsplit(uri)
-    if parts.scheme in ("http", "https"):
-        try:
-            with urllib.request.urlopen(f"{uri.rstrip('/')}{_A_QUESTION}", timeout=_SECONDS_TO_ANSWER):
-                return
-        except urllib.error.HTTPError as answer:
-            if answer.code < 500:  # no experiment yet, or it wants a user's name, which MLflow's client sends
-                return
-            raise PuddleError(f"{uri} answers {answer.code} {answer.reason}") from None
-        except (OSError, ValueError) as error:
-            raise PuddleError(f"{uri} does not answer ({getattr(error, 'reason', error)})") from None
-    port = parts.port or _PORTS.get(parts.scheme.partition("+")[0])
-    if parts.hostname is None or port is None:
+    if not uri.startswith(("http://", "https://")):
         return
     try:
-        socket.create_connection((parts.hostname, port), timeout=_SECONDS_TO_ANSWER).close()
-    except OSError as error:
-        raise PuddleError(f"{parts.hostname}:{port} does not answer ({error})") from None
+        urllib.request.urlopen(f"{uri.rstrip('/')}/health", timeout=_SECONDS_TO_ANSWER).close()
+    except urllib.error.HTTPError:  # an answer
+        return
+    except (OSError, ValueError) as error:
+        raise PuddleError(f"{uri} does not answer ({getattr(error, 'reason', error)})") from None

@@ -19,8 +19,6 @@ class CurvePart:
 
     digest: str  # of the item
     read: Callable[[], CurvePoints]
-    started: float  # when the item was started [s since 1970]
-    ended: float  # when it was committed [s since 1970]
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,6 @@ class Run:
 
     name: str
     key: str  # identity, unique among its siblings
-    description: str = ""
     params: Mapping[str, Any] = field(default_factory=dict)  # settings used; nested mappings become dotted names
     metrics: Mapping[str, float] = field(default_factory=dict)  # MLflow cannot store infinities and NaN
     curves: Sequence[CurvePart] = ()  # metrics by generation
@@ -38,7 +35,5 @@ class Run:
     attachments: Mapping[tuple[str, str], Mapping[str, bytes]] = field(default_factory=dict)
     """Files of other runs of the study, by kind and key of the run (``"trial", "stage key/trial key"``) and by path.
     Runs that MLflow does not have are left out."""
-    started: float | None = None  # [s since 1970]; None for the time at which MLflow first hears of the run
-    ended: float | None = None  # likewise
     status: Literal["FINISHED", "FAILED"] | None = None
-    """None for a run that has not ended; one that has finished stays so, and one that was stopped is running again."""
+    """None for a run that has not ended; MLflow keeps the status of one that has."""

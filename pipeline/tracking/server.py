@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import socket
 import sys
@@ -11,7 +12,7 @@ import urllib.parse
 import urllib.request
 import webbrowser
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from pipeline.errors import PuddleError
 from pipeline.tracking.database import (
@@ -23,6 +24,9 @@ from pipeline.tracking.database import (
     open_client,
 )
 
+_VIEW = "puddle"  # name of the shared view that the list of studies opens with
+_STUDIES = "tags.`puddle.kind` = 'study'"
+_HEADLINE, _MOST_HEADLINES = "ratio_to_true_slush.zero_shot.", 6
 _SECONDS_TO_START = 120.0  # time for the server to start before its address is no longer announced
 
 
@@ -44,7 +48,10 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
     if uri is None and not (store / "mlflow.db").is_file():
         raise PuddleError(f"{store}: expected mlflow.db, found none. `puddle study` creates it.")
     try:
-        experiment = experiment_id(open_client(store, uri))
+        client = open_client(store, uri)
+        experiment = experiment_id(client)
+        if experiment is not None:
+            client.set_experiment_tag(experiment, f"mlflow.sharedViewState.{_VIEW}", _view(client, experiment))
     except PuddleError:
         raise
     except Exception as error:  # of any database's driver
@@ -70,12 +77,19 @@ def runs_page(server: str, experiment: str | None, study: str | None = None) -> 
         experiment: ID of the experiment; None if there is none yet.
         study: name of the study whose runs are shown; by default the studies alone.
     """
-    shown = "tags.`puddle.kind` = 'study'" if study is None else f"tags.study = '{study}'"
-    query = urllib.parse.urlencode(
-        {"workflowType": "machine_learning", "searchFilter": shown}, quote_via=urllib.parse.quote
-    )
+    shown = {"viewStateShareKey": _VIEW} if study is None else {"searchFilter": f"tags.study = '{study}'"}
+    query = urllib.parse.urlencode({"workflowType": "machine_learning", **shown}, quote_via=urllib.parse.quote)
     page = "experiments" if experiment is None else f"experiments/{experiment}/runs"
     return f"{server}/#/{page}?{query}"
+
+
+def _view(client: Any, experiment: str) -> str:
+    """Return MLflow's list of studies as it is shared: with columns for their presets and headline figures."""
+    studies = client.search_runs([experiment], _STUDIES, max_results=100)
+    headlines = sorted({name for run in studies for name in run.data.metrics if name.startswith(_HEADLINE)})
+    columns = ["attributes.`Created`", "attributes.`Duration`", "tags.`preset`"]
+    columns += [f"metrics.`{name}`" for name in headlines[:_MOST_HEADLINES]]
+    return json.dumps({"searchFilter": _STUDIES, "selectedColumns": columns})
 
 
 def _serve(uri: str, port: int, words: list[str], page: str) -> NoReturn:

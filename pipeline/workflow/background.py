@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-SECONDS_AFTER_AN_ERROR = 3.0  # time that the end of a block that failed may wait for the last call [s]
 SECONDS_OF_SILENCE = 2.0  # time that the end may wait before it tells the user what for [s]
 
 
 class Background:
     """Runs calls one after another on a thread of its own; the end of the ``with`` block waits for all of them.
 
-    A block that ends in an error does not wait, so that the error is reported at once, except for a few seconds for its
-    last call. The thread then continues until the process ends.
+    A block that ends in an error does not wait, so that the error is reported at once. The thread then continues until
+    the process ends.
     """
 
     def __init__(self, what: str, say: Callable[[str], None]) -> None:
@@ -26,7 +25,6 @@ class Background:
         self._error: BaseException | None = None
         self._repeated: Callable[[], object] | None = None
         self._period: float | None = None  # [s]
-        self._patience = 0.0  # time that the end of a block that failed waits [s]
 
     def do(self, work: Callable[[], object]) -> None:
         """Run a call after those before it. If it raises an error, the end of the ``with`` block raises that error."""
@@ -34,18 +32,6 @@ class Background:
             self._thread = threading.Thread(target=self._run, name=self._what, daemon=True)
             self._thread.start()
         self._work.put(work)
-
-    def do_last(self, work: Callable[[], object]) -> None:
-        """Run a call instead of those that wait, and let the end of the ``with`` block wait for it, but not for long.
-
-        Where there was no call before it, it is not run.
-        """
-        if self._thread is not None:
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    self._work.get_nowait()
-            self._work.put(work)
-            self._patience = SECONDS_AFTER_AN_ERROR
 
     @contextlib.contextmanager
     def repeat(self, work: Callable[[], object], *, every: float) -> Iterator[None]:
@@ -82,10 +68,7 @@ class Background:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._work.put(None)
-        if self._thread is None:
-            return
-        if kind is not None:
-            self._thread.join(self._patience)
+        if self._thread is None or kind is not None:
             return
         self._thread.join(SECONDS_OF_SILENCE)
         if self._thread.is_alive():

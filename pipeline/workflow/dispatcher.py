@@ -8,7 +8,6 @@ import heapq
 import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
@@ -23,37 +22,10 @@ from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, Outside
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
 _QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
 _SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for the number of cores
-_CHECKS_WITHOUT_CORES = 3  # consecutive checks after which this process reports that the cluster has no cores
-
-
-@dataclass(frozen=True)
-class Limits:
-    """How long items may run before they count as hanging: generous, because stopping an item that works costs more."""
-
-    factor: float = 20.0  # times the slowest item of the stage so far, by weighted units
-    least_seconds: float = 600.0  # what any item may take, however fast the others were
-    unknown_seconds_per_unit: float = 60.0
-    """Limit for a weighted unit while no item of the stage is known to have ended. The longest item, a training of the
-    paper's network on one core, takes seconds per unit and days in all; this allows a month."""
-    unknown_least_seconds: float = 86_400.0  # what any item may take in that case: some units are whole analyses
-
-    def seconds(self, cost: float, slowest: float) -> float:
-        """Return the limit of a batch that costs ``cost`` weighted units [s].
-
-        ``slowest`` is in seconds per weighted unit; 0 while no item has ended.
-        """
-        if not slowest:
-            return max(self.unknown_least_seconds, self.unknown_seconds_per_unit * cost)
-        return max(self.least_seconds, self.factor * slowest * cost)
 
 
 def run_stage(
-    run: StageRun,
-    chains: Sequence[ChainProgress],
-    *,
-    cluster: Cluster,
-    advance: Callable[[Work], object],
-    limits: Limits = Limits(),
+    run: StageRun, chains: Sequence[ChainProgress], *, cluster: Cluster, advance: Callable[[Work], object]
 ) -> None:
     """Compute what is missing of a stage, and advance its chains.
 
@@ -62,12 +34,11 @@ def run_stage(
         chains: its chains, from :meth:`StageRun.chains`.
         cluster: computes items.
         advance: counts work that has just been committed.
-        limits: how long an item may take.
 
     Raises:
         PuddleError: an item needs a GPU, and the cluster has none.
     """
-    _Dispatcher(run, cluster, advance, limits).run(chains)
+    _Dispatcher(run, cluster, advance).run(chains)
 
 
 _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several chains, computed in one call
@@ -76,17 +47,14 @@ _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several c
 class _Dispatcher:
     """Keeps a cluster busy with a stage's chains, heaviest remaining chain first."""
 
-    def __init__(self, run: StageRun, cluster: Cluster, advance: Callable[[Work], object], limits: Limits) -> None:
+    def __init__(self, run: StageRun, cluster: Cluster, advance: Callable[[Work], object]) -> None:
         self._run, self._stage = run, run.stage
-        self._cluster, self._advance, self._limits = cluster, advance, limits
+        self._cluster, self._advance = cluster, advance
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
         self._running: dict[Ticket, _Batch] = {}
         self._code = recorded_code(run.stage)  # before any worker loads it: files may be edited while it runs
-        self._slowest = 0.0  # seconds per weighted unit of the slowest item, with the time of its whole batch
-        self._checks_without_cores = 0
 
     def run(self, chains: Sequence[ChainProgress]) -> None:
-        self._slowest = max((progress.slowest for progress in chains), default=0.0)
         ready: list[tuple[float, int]] = []
         numbers = {id(progress): number for number, progress in enumerate(chains)}
 
@@ -100,7 +68,6 @@ class _Dispatcher:
         while ready or self._running:
             if time.monotonic() >= next_check:
                 n_cores = self._cluster.n_cores  # machines join and leave
-                self._check_cores(n_cores)
                 next_check = time.monotonic() + _SECONDS_BETWEEN_CHECKS
             queue = max(1, round(_QUEUED_PER_CORE * n_cores))
             while ready and len(self._running) < queue:
@@ -109,16 +76,6 @@ class _Dispatcher:
                 self._submit([chains[number] for number in _take_batch(ready, chains, n_to_spare)])
             if (finished := self._cluster.next_done(timeout=_SECONDS_BETWEEN_CHECKS)) is not None:
                 make_ready(self._finish(*finished))
-
-    def _check_cores(self, n_cores: float) -> None:
-        """Report, once, that the cluster has had no cores for a while: Ray would wait forever in silence."""
-        self._checks_without_cores = 0 if n_cores else self._checks_without_cores + 1
-        if self._checks_without_cores == _CHECKS_WITHOUT_CORES:
-            self._run.say(
-                f"{self._stage.name} waits: expected a cluster with at least one core, got one with none (`ray "
-                f"status` lists its nodes; those started with --num-cpus=0 have none). It goes on when a node with "
-                f"cores joins."
-            )
 
     def _submit(self, chains: Sequence[ChainProgress]) -> None:
         items = [self._run.next_item(progress) for progress in chains]
@@ -141,7 +98,6 @@ class _Dispatcher:
             *contents,
             n_cores=0.0 if is_split(item) else 1.0,
             n_gpus=float(item.execution.n_gpus),
-            seconds=self._limits.seconds(max(progress.next_cost for progress in chains), self._slowest),
             name=f"{item.stage} {' and '.join(item.label for item in items)}",
         )
         self._running[ticket] = list(zip(chains, items, strict=True))
@@ -163,7 +119,6 @@ class _Dispatcher:
         else:
             results, seconds = outcome.result
             for (progress, item), files in zip(batch, results, strict=True):
-                self._slowest = max(self._slowest, seconds / progress.next_cost)
                 self._commit(progress, item, files, seconds / len(batch))
         return [progress for progress, _ in batch]
 

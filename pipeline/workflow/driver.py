@@ -17,7 +17,7 @@ from pipeline.errors import DamagedArtifact
 from pipeline.store.store import Store
 from pipeline.workflow.background import Background
 from pipeline.workflow.compiling import compiling
-from pipeline.workflow.dispatcher import Limits, run_stage
+from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require, results_of
 from pipeline.workflow.progress import NOTHING, Progress, StudyTimes, Work
 from pipeline.workflow.record import DrivenStudy
@@ -41,7 +41,6 @@ def drive(
     how_to_run: Callable[[str], str],
     source: str = "",
     expected_seconds: Callable[[float], Mapping[str, float]] = lambda n_cores: {},
-    limits: Limits = Limits(),  # noqa: B008 (frozen)
     seconds_to_compile: Callable[[Physics], float] = kernels.seconds_to_compile,
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
@@ -60,7 +59,6 @@ def drive(
         how_to_run: returns the command line that runs a stage, for messages.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
         expected_seconds: returns about how long what is left of each stage takes on a number of cores [s].
-        limits: how long an item may take.
         seconds_to_compile: returns about how long the kernels take that this machine has not compiled yet [s].
 
     Returns:
@@ -97,7 +95,7 @@ def drive(
             return StudyTimes(names, {stage.name: expected.get(stage.name, 0.0) for stage in wanted})
 
         times = functools.cache(study_times)
-        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, times, how_to_run, limits)
+        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, times, how_to_run)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -110,9 +108,6 @@ def drive(
                 discarded.add((damage.stage, damage.key))
                 for one in opened:
                     one.cancel_all()  # the next attempt submits everything again
-            except BaseException as error:
-                mirror.stop(error)
-                raise
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,6 @@ class _Driver:
     progress: Progress
     times: Callable[[], StudyTimes]
     how_to_run: Callable[[str], str]
-    limits: Limits
 
     def run(self, wanted: Sequence[AnyStage]) -> Upstream:
         upstream: dict[str, Results] = {}
@@ -170,4 +164,4 @@ class _Driver:
                 self.record.begin()  # these settings have a result
                 bar.advance(work)
 
-            run_stage(run, chains, cluster=cluster, advance=advance, limits=self.limits)
+            run_stage(run, chains, cluster=cluster, advance=advance)

@@ -9,15 +9,16 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 from pipeline.config.settings import Settings
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.store.manifest import Manifest
-from pipeline.store.store import Store
+from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.code_digest import is_of_other_code
-from pipeline.workflow.identity import to_json
 from pipeline.workflow.progress import Work
+from pipeline.workflow.record import settings_of
 from pipeline.workflow.stage import AnyStage, Chain, Failure, Item, MissingInputs, Results, Upstream
 
 
@@ -29,8 +30,8 @@ class ChainProgress:
     manifests: list[Manifest] = field(default_factory=list)
     n_failures: int = 0  # consecutive failures of the next item, computed by itself
     failed: Failure | None = None  # why the chain can't go on, if it can't
+    elsewhere: bool = False  # whether today's code would give its items other keys than those on record
     alone: bool = False  # whether the next item has failed: it is tried again by itself, so that no other fails with it
-    slowest: float = 0.0  # seconds per weighted unit of the slowest committed item with the same execution options
 
     @property
     def finished(self) -> bool:
@@ -49,11 +50,6 @@ class ChainProgress:
             and (self.chain.batch_key, self.chain.units) == (other.chain.batch_key, other.chain.units)
             and len(self.manifests) == len(other.manifests)
         )
-
-    @property
-    def next_cost(self) -> float:
-        """Weighted units of the next item."""
-        return self.chain.weight * self.chain.units[len(self.manifests)]
 
     @property
     def left(self) -> Work:
@@ -79,17 +75,38 @@ class StageRun:
     store: Store
     say: Callable[[str], None]  # shows a line to the user, such as that an item is damaged
 
-    def chains(self) -> list[ChainProgress]:
-        """Plan the stage's chains and advance each as far as the store has its items."""
-        return [self.progress_of(chain) for chain in _evenly_weighted(self.stage.plan(self.settings))]
+    def chains(self, recorded: Mapping[tuple[str, str], Sequence[str]] = MappingProxyType({})) -> list[ChainProgress]:
+        """Plan the stage's chains, and say how far the store has each.
 
-    def progress_of(self, chain: Chain[Any]) -> ChainProgress:
-        """Advance a chain as far as the store has its items."""
+        Args:
+            recorded: keys of items by stage and label of their chain; they count whatever today's code makes of them.
+        """
+        progress = []
+        for chain in _evenly_weighted(self.stage.plan(self.settings)):
+            keys = recorded.get((self.stage.name, chain.label))
+            progress.append(self._planned(chain) if keys is None else self._recorded(chain, keys))
+        return progress
+
+    def _planned(self, chain: Chain[Any]) -> ChainProgress:
         progress = ChainProgress(chain)
         try:
             self.advance(progress)
         except MissingInputs as missing:
             progress.failed = Failure(str(missing), tried=False)
+        return progress
+
+    def _recorded(self, chain: Chain[Any], keys: Sequence[str]) -> ChainProgress:
+        units = chain.units if len(chain.units) == len(keys) else chain.units[:1] * len(keys)
+        progress = ChainProgress(replace(chain, units=units))
+        for index, key in enumerate(keys):
+            if len(progress.manifests) == index:
+                with contextlib.suppress(MissingInputs):
+                    progress.elsewhere |= self.next_item(progress).key != key
+            try:
+                manifest = self.store.manifest(self.stage.name, key)
+                progress.manifests += [] if manifest is None else [manifest]
+            except (DamagedArtifact, OtherVersion) as error:
+                self.say(f"{error}")
         return progress
 
     def next_item(self, progress: ChainProgress) -> Item[Any]:
@@ -100,22 +117,14 @@ class StageRun:
     def advance(self, progress: ChainProgress) -> None:
         """Advance a chain as far as the store has its items. A damaged item counts as missing."""
         while not progress.finished:
-            item = self.next_item(progress)
-            manifest = self._committed(item)
+            try:
+                manifest = self.store.manifest(self.stage.name, self.next_item(progress).key)
+            except DamagedArtifact as damage:
+                self.say(f"{damage}")
+                return
             if manifest is None:
                 return
-            # Another engine may be a hundred times as fast, and the time of split items depends on the cores there are.
-            if manifest.record.get("execution") == to_json(item.execution) and not is_split(item):
-                batch_seconds = float(manifest.record.get("seconds", 0.0)) * progress.chain.batch_size
-                progress.slowest = max(progress.slowest, batch_seconds / progress.next_cost)
             progress.manifests.append(manifest)
-
-    def _committed(self, item: Item[Any]) -> Manifest | None:
-        try:
-            return self.store.manifest(item.stage, item.key)
-        except DamagedArtifact as damage:
-            self.say(f"{damage}")
-            return None
 
 
 def _evenly_weighted(chains: Sequence[Chain[Any]]) -> list[Chain[Any]]:
@@ -151,41 +160,73 @@ def other_code(upstream: Upstream) -> str:
     )
 
 
+@dataclass(frozen=True)
+class Survey:
+    """What the store holds of a study, by stage."""
+
+    chains: Mapping[str, Sequence[ChainProgress]]
+    upstream: Upstream
+    elsewhere: tuple[str, ...]  # stages that today's code and settings would give other keys than the record
+
+    @property
+    def items(self) -> set[tuple[str, str]]:
+        """Stage and key of every item."""
+        return {(stage, one.key) for stage, chains in self.chains.items() for each in chains for one in each.manifests}
+
+    def note(self, name: str) -> str:
+        """Say in a line that today's code leads elsewhere; "" if it does not."""
+        if not self.elsewhere:
+            return ""
+        return (
+            f"study {name}: shown as it was recorded. Today's code leads its settings to other results of "
+            f"{', '.join(self.elsewhere)}; `puddle study {name}` computes them."
+        )
+
+
 def survey(
-    settings: Settings, stages: Sequence[AnyStage], store: Store, *, say: Callable[[str], None]
-) -> dict[str, Results]:
-    """Return what the store holds of each stage of a study, by name, without computing anything.
+    settings: Settings,
+    stages: Sequence[AnyStage],
+    store: Store,
+    *,
+    record: StudyRecord | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> Survey:
+    """Return what the store holds of a study: recorded items by their keys, and others where its settings lead.
 
     Args:
         settings: the study's settings.
         stages: its first stages, in order.
         store: where results are committed.
-        say: shows a line to the user.
+        record: the record of its name; it counts if it is of these settings.
+        say: shows a line to the user, such as that an item is damaged.
     """
+    keys: dict[tuple[str, str], list[str]] = {}
+    if record is not None and settings_of(record) == settings:
+        for item in record.items:  # in the order of their chains
+            keys.setdefault((item.stage, item.label.rpartition("#")[0]), []).append(item.key)
+    read = {name for stage in stages for name in stage.reads(settings)}  # not the page, which names its versions
+    chains: dict[str, list[ChainProgress]] = {}
     upstream: dict[str, Results] = {}
+    elsewhere = []
     for stage in stages:
-        upstream[stage.name] = results_of(stage, StageRun(stage, settings, upstream, store, say).chains())
-    return upstream
+        run = StageRun(stage, settings, upstream, store, say)
+        chains[stage.name] = run.chains(keys)
+        upstream[stage.name] = results_of(stage, chains[stage.name])
+        if stage.name in read and any(one.elsewhere for one in chains[stage.name]):
+            elsewhere.append(stage.name)
+    return Survey(chains, upstream, tuple(elsewhere))
 
 
 def discard_items(settings: Settings, names: Collection[str], stages: Sequence[AnyStage], store: Store) -> int:
-    """Discard what the store holds of some stages of a study, so that it is computed again.
+    """Discard what the store holds of some stages of a study, so that it is computed again; return how many items.
 
     Args:
         settings: the study's settings.
         names: names of the stages.
         stages: all stages of the study, in order.
         store: where results are committed; the caller has locked it against drivers of studies.
-
-    Returns:
-        The number of items discarded.
     """
-    items: set[tuple[str, str]] = set()
-    upstream: dict[str, Results] = {}
-    for stage in stages:
-        chains = StageRun(stage, settings, upstream, store, lambda line: None).chains()
-        upstream[stage.name] = results_of(stage, chains)
-        items |= {(stage.name, manifest.key) for progress in chains for manifest in progress.manifests}
+    items = survey(settings, stages, store).items
     with contextlib.suppress(DamagedArtifact):
         record = store.read_study(settings.name)
         if record is not None and record.settings == settings.model_dump(mode="json"):  # behind something missing, too

@@ -126,11 +126,6 @@ def arms_of(trials: Sequence[TrialId]) -> dict[Arm, list[TrialId]]:
     return arms
 
 
-def deepest_first(trials: Sequence[TrialId]) -> dict[Arm, list[TrialId]]:
-    """Group trials by arm, the deepest arms first."""
-    return dict(sorted(arms_of(trials).items(), key=lambda entry: -entry[0].depth))
-
-
 @dataclass(frozen=True)
 class InputName:
     """The part that an input plays for its item."""

@@ -13,14 +13,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import timedelta
-from typing import IO, Any, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
-
-from pipeline.text import printable
 
 _BAR_WIDTH = 30
 _ROUNDING = 1e-9  # relative error of a sum of costs
@@ -153,7 +150,7 @@ class Progress:
 
     def say(self, line: str) -> None:
         """Show a line that stays, above any bar."""
-        self.console.print(printable(line), markup=False, soft_wrap=True)
+        self.console.print(line, markup=False, soft_wrap=True)
 
     @contextmanager
     def stage(
@@ -194,42 +191,9 @@ class Progress:
 def progress(console: Console | None = None, *, seconds_between_lines: float = 10.0) -> Iterator[Progress]:
     """Show progress on a console, standard error by default."""
     console = console or Console(stderr=True, highlight=False)
-    console.file = cast(IO[str], _Tolerant(console.file))
     if not console.is_interactive:  # no terminal, or one that can't move its cursor
         yield Progress(console, seconds_between_lines, None)
         return
     columns = TextColumn("{task.description}", markup=False), BarColumn(_BAR_WIDTH), _Words()
     with RichProgress(*columns, console=console, redirect_stdout=False) as bars:
         yield Progress(console, seconds_between_lines, bars)
-
-
-class _Tolerant:
-    """A stream that drops what can't be written: a study goes on when its terminal is closed or its log's disk full.
-
-    A pipe without a reader still raises BrokenPipeError.
-    """
-
-    def __init__(self, stream: IO[str]) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        with _dropped():
-            self._stream.write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        with _dropped():
-            self._stream.flush()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-
-@contextmanager
-def _dropped() -> Iterator[None]:
-    try:
-        yield
-    except BrokenPipeError:
-        raise
-    except OSError:
-        pass

@@ -3,7 +3,7 @@
 import difflib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from pydantic import ValidationError
@@ -124,20 +124,8 @@ def settings_of(record: StudyRecord) -> Settings:
         ) from None
 
 
-@dataclass(frozen=True)
-class SettingChange:
-    """A setting with two values."""
-
-    name: str  # dotted, such as slush.linear_drag
-    old: Any  # JSON values
-    new: Any
-
-    def __str__(self) -> str:
-        return f"{self.name}: {json.dumps(self.old)} → {json.dumps(self.new)}"
-
-
-def setting_changes(old: Any, new: Any, name: str = "") -> list[SettingChange]:
-    """Return every setting that differs.
+def setting_changes(old: Any, new: Any, name: str = "") -> list[tuple[str, Any, Any]]:
+    """Return the dotted name, the old and the new value of every setting that differs.
 
     Args:
         old, new: settings as JSON values.
@@ -150,9 +138,9 @@ def setting_changes(old: Any, new: Any, name: str = "") -> list[SettingChange]:
             for one in names
             for change in setting_changes(old.get(one), new.get(one), f"{name}.{one}".strip("."))
         ]
-    return [] if old == new else [SettingChange(name, old, new)]
+    return [] if old == new else [(name, old, new)]
 
 
 def differences(old: Any, new: Any) -> list[str]:
     """Return one line per setting that differs between two settings as JSON values, with both values."""
-    return [str(change) for change in setting_changes(old, new)]
+    return [f"{name}: {json.dumps(one)} → {json.dumps(other)}" for name, one, other in setting_changes(old, new)]

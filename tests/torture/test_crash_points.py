@@ -10,7 +10,6 @@ import pytest
 from crash_consistency_disk import survey, write_image
 from quick_study import Record, tree
 
-from pipeline.commands.damage import find_damage
 from pipeline.commands.garbage import find_garbage, remove_garbage
 from pipeline.store.store import Store, StudyRecord
 
@@ -20,13 +19,13 @@ KINDS = ["die", "tear", "all", "contents", "names", "some"]
 """Faults: death before an effect, death half-way through a write, and power cuts that lose all unsynced data, contents
 alone, names alone, or some of both at random."""
 
-PARTS = {"science": (None, "transfer", 4), "analyses": ("transfer", "analyse", 7), "report": ("analyse", "report", 2)}
-"""Parts of the study: the last stage before it, its own last stage, and the number of items that it computes."""
+PARTS = {"science": (None, "transfer"), "analyses": ("transfer", "analyse"), "report": ("analyse", "report")}
+"""Parts of the study: the last stage before it, and its own last stage."""
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_the_next_driver_continues_from_any_disk_that_a_fault_leaves(torture, tiny, new_folder, part):
-    before, last, n_items = PARTS[part]
+    before, last = PARTS[part]
     kinds = KINDS if part == "science" or torture.large else ["die", "all"]
     for rng in torture.attempts(1, 20):  # each attempt loses other data at random
         top = new_folder()
@@ -36,7 +35,7 @@ def test_the_next_driver_continues_from_any_disk_that_a_fault_leaves(torture, ti
         record = Record()
         with survey(top / "disk", kinds, int(rng.integers(2**32)), record.committed) as found:
             tiny.drive(top / "disk" / "store", last=last, record=record)
-        assert len(record.computed) == len(record.committed) == n_items and len(found.effects) > 50
+        assert sorted(record.computed) == sorted(record.committed) and len(found.effects) > 50
         n_torn = found.effects.count("write") if "tear" in kinds else 0
         assert found.n_faults == (len(kinds) - ("tear" in kinds)) * len(found.effects) + n_torn
         undisturbed = tree(top / "disk" / "store")
@@ -85,7 +84,7 @@ def test_a_gc_that_dies_leaves_an_intact_store(torture, tiny, new_folder):
         left = new_folder() / "left"
         write_image(image, left)
         assert needed <= keys_of(left / "store")
-        assert find_damage(Store.open(left / "store", create=False)) == []
+        assert Store.open(left / "store", create=False).verify() == []
         shutil.copytree(left, other := new_folder() / "other")
         collect_garbage(left / "store")
         assert tree(left / "store") == collected

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-from pathlib import Path
-
 import numpy as np
 import pytest
 import small_study
 
-from pipeline.cluster import Cluster, Outcome, Ticket, ray_cluster, serial_cluster
+from pipeline.cluster import Cluster, Outcome, Ticket, serial_cluster
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
@@ -58,7 +54,7 @@ def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path)
     """One process computes up to eight work items at a time, and returns them in random order.
 
     The workers are simulated: work items are computed one after the other in this process, and only the driver sees
-    them end as if there were several workers. The next test has real ones, and so has tests/pipeline/workflow.
+    them end as if there were several workers; tests/pipeline/workflow has real ones.
     """
     n_out_of_order = 0
     for number, rng in enumerate(torture.attempts(1, 100)):
@@ -73,19 +69,3 @@ def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path)
 def cut(rng: np.random.Generator) -> Settings:
     """Split generations into batches of a random size, up to the whole population."""
     return small_study.tiny(*small_study.ON_REFERENCE, f"work.designs_per_batch={rng.integers(1, 6)}")
-
-
-@pytest.mark.parametrize("n_workers", [1, 2, 8])
-def test_the_same_bytes_from_any_number_of_workers(n_workers, expected, torture, tmp_path):
-    if not torture.large:
-        pytest.skip("only with --torture: each worker takes core-seconds to start")
-    for number, rng in enumerate(torture.attempts(1, 5)):
-        with ProcessPoolExecutor(
-            1, mp_context=get_context("spawn")
-        ) as other:  # this process may already be connected to a Ray
-            assert other.submit(on_ray, n_workers, tmp_path / str(number), rng).result() == expected
-
-
-def on_ray(n_workers: int, store: Path, rng: np.random.Generator) -> dict[str, list[str]]:
-    with ray_cluster(n_workers=n_workers) as ray:
-        return digests(cut(rng), Store.open(store, create=True), Shuffled(ray, n_workers, rng))

@@ -1,7 +1,6 @@
 """The two clusters keep one contract; Ray's processes are pinned, closed to strangers, and gone when the study is."""
 
 import os
-import resource
 import socket
 import subprocess
 import sys
@@ -46,7 +45,6 @@ def outcomes(cluster: Cluster) -> dict[Ticket, Outcome]:
     taken = {}
     while (done := cluster.next_done(timeout=60)) is not None:
         taken[done[0]] = done[1]
-    assert cluster.n_running == 0
     return taken
 
 
@@ -77,7 +75,6 @@ def test_the_same_results_serially_and_on_ray(local_ray):
         for cluster in (serial, local_ray):
             shared = cluster.share(np.linspace(0, 1, 50))
             tickets = [cluster.submit(wander, seed, shared, name=f"wander {seed}") for seed in range(6)]
-            assert cluster.n_running == 6
             by_ticket = outcomes(cluster)
             assert {ticket.name for ticket in by_ticket} == {f"wander {seed}" for seed in range(6)}
             results.append([by_ticket[ticket].result for ticket in tickets])
@@ -92,15 +89,7 @@ def test_a_failure_is_an_outcome_and_the_rest_goes_on(cluster):
     assert (first, last) == (Done(1.0), Done(0.25))
     assert isinstance(failed, TaskFailed) and isinstance(failed, PuddleError)
     assert str(failed) == "reciprocal of 0.0: ZeroDivisionError: float division by zero"
-    assert "return 1 / x" in failed.remote_traceback and "\x1b" not in failed.remote_traceback
     assert isinstance(failed.__cause__, ZeroDivisionError)
-    assert not failed.infrastructure
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the bound is Linux's")
-def test_a_task_is_bounded_in_its_memory(cluster):
-    cluster.submit(lambda: resource.getrlimit(resource.RLIMIT_DATA)[0])
-    assert only(cluster).result != resource.RLIM_INFINITY
 
 
 def test_nothing_submitted_is_nothing_due_and_a_call_is_named_after_its_function(cluster):
@@ -114,9 +103,8 @@ def test_spread_keeps_the_order_of_its_items_and_its_failure_is_the_tasks(cluste
     assert only(cluster) == Done([16.0, 8.0, 4.0, 2.0])
     cluster.submit(nested, [1.0, 0.0, 2.0], 1.0, n_cores=0, name="generation 7")
     failed = only(cluster)
-    assert isinstance(failed, TaskFailed) and not failed.infrastructure
+    assert isinstance(failed, TaskFailed)
     assert str(failed).startswith("generation 7: ") and "ZeroDivisionError" in str(failed)
-    assert "return 1 / x" in failed.remote_traceback
 
 
 def test_spread_on_ray_uses_other_processes(local_ray):
@@ -147,7 +135,7 @@ def test_a_killed_worker_is_tried_again_once_and_an_exception_is_not(dies, n_att
     local_ray.submit(fail, tmp_path / "log", name="the failing one")
     local_ray.submit(reciprocal, 2.0)
     failed, done = in_order(local_ray)
-    assert isinstance(failed, TaskFailed) and failed.infrastructure == dies
+    assert isinstance(failed, TaskFailed)
     assert "the failing one" in str(failed) and ("WorkerCrashedError" if dies else "ValueError: no") in str(failed)
     assert (tmp_path / "log").read_text() == "tried\n" * n_attempts
     assert done == Done(0.5)
@@ -168,33 +156,12 @@ def test_cancelled_calls_stop_and_give_nothing(local_ray, tmp_path):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     local_ray.cancel_all()
-    assert local_ray.n_running == 0
     assert local_ray.next_done(timeout=None) is None
     (tmp_path / "cancelled").touch()
     time.sleep(2.0)
     assert not (tmp_path / "done").exists()
     local_ray.submit(reciprocal, 4.0)
     assert only(local_ray) == Done(0.25)
-
-
-def test_what_hangs_in_compiled_code_is_ended(local_ray):
-    """A thread of Python could not end it: the kernel never gives up the interpreter's lock."""
-
-    def hang() -> float:
-        import numba
-
-        @numba.njit
-        def count() -> float:
-            x = 0.0
-            while x < 1e18:
-                x += 1e-3
-            return x
-
-        return count()
-
-    local_ray.submit(hang, seconds=5.0, name="the hanging one")
-    failed = only(local_ray)
-    assert isinstance(failed, TaskFailed) and failed.infrastructure and "the hanging one" in str(failed)
 
 
 def test_a_worker_has_one_thread_in_every_library(local_ray):

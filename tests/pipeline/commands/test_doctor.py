@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 from command_line import call
 from small_study import ON_DRY_LAND
@@ -32,7 +33,7 @@ def test_every_check_passes_where_the_tests_run(options, capsys):
 
 def test_problems_are_found_and_named_in_json(store, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(examination, "_SPARE_BYTES", 1e18)
-    monkeypatch.setattr(examination, "free_memory", lambda: 2e9)  # enough for two workers
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=2e9))  # enough for two workers
     constraints = tmp_path / "constraints.txt"
     constraints.write_text("numpy==0.1\nBox2D==2.3.10\n")
     monkeypatch.setattr(examination, "_CONSTRAINTS", constraints)
@@ -87,7 +88,7 @@ def test_finished_work_needs_no_disk_space(store, tmp_path):
     ("done", "verdict"),
     [
         ((Ticket(0, "getpid"), Done(7)), "ok"),
-        ((Ticket(0, "getpid"), TaskFailed("getpid", "WorkerCrashedError: it died", "", True)), "fail"),
+        ((Ticket(0, "getpid"), TaskFailed("getpid", "WorkerCrashedError: it died")), "fail"),
         (None, "fail"),
     ],
 )

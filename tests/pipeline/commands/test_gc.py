@@ -35,16 +35,14 @@ def test_items_that_no_study_needs_are_listed_and_then_removed(options, store, c
     assert "that no study needs" not in capsys.readouterr().out
 
 
-def test_the_users_own_files_are_not_garbage_whatever_their_names(options, store, capsys):
+def test_temporary_files_of_a_killed_driver_are_garbage_and_the_users_files_are_not(options, store, capsys):
     folder = store.export_path("tiny")
-    ours, theirs = folder / ".index.html.tmp", folder / ".notes.tmp"
-    ours.write_text("half")
-    theirs.write_text("mine")
-    (folder / ".drafts.tmp").mkdir()
+    ours, theirs = (folder / ".index.html.tmp", folder.parent / ".study.json.tmp"), folder / "notes.tmp"
+    for path in (*ours, theirs):
+        path.write_text("half")
     assert call("gc", "--remove", "--store", str(store.root)) == 0
     said = capsys.readouterr().out
-    assert str(ours) in said and not ours.exists()
-    assert theirs.read_text() == "mine" and (folder / ".drafts.tmp").is_dir() and "notes" not in said
+    assert all(str(path) in said and not path.exists() for path in ours) and theirs.exists()
 
 
 def test_a_study_stopped_halfway_needs_its_finished_items(options, store):

@@ -153,7 +153,6 @@ def test_overrides_win_over_the_file_and_later_ones_over_earlier() -> None:
         ("grid..n_trials=3", "expected a setting's name, = and its value, such as grid.n_trials=3"),
         ("name=a: b", "expected a value, a list [..] or a group {..}, got a colon (quote it)"),
         ("grid.depths=[1", "while parsing a flow sequence, expected ',' or ']', but got '<stream end>'"),
-        ("seed=&a 1", "expected plain values, got an anchor or an alias"),
         ("grid={n_trials: 1, n_trials: 2}", "'n_trials' appears twice"),
         ("seed.x=3", "seed: expected a group of settings, got 1 at lab.yaml:1"),
     ],
@@ -212,8 +211,7 @@ def test_long_values_are_cut() -> None:
     ("text", "message"),
     [
         ("a: 1\nb:\n  c: 1\n  c: 2\n", "4: 'c' appears twice, first at lab.yaml:3"),
-        ("a: &x [1]\nb: *x\n", "1: expected plain values, got an anchor or an alias"),
-        ("a:\n  !!python/name:os.x [ls]", "2: expected plain values, got the tag tag:yaml.org,2002:python/name:os.x"),
+        ("a: &x [1]\nb: *x\n", "2: expected plain values in at most 32 levels, got an alias or more levels"),
         ("seed: 1\n<<: {name: a}\n", "2: <<: unknown setting; known: batch, grid, name, resume, seed, slush"),
         ("slush:\n  densty: 1\n", "2: slush.densty: unknown setting; did you mean density?; known: density"),
         ("seed: 1\n---\nseed: 2\n", "2: expected a single document in the stream, but found another document"),
@@ -236,8 +234,8 @@ def test_bad_yaml_is_refused_with_its_line(text: str, message: str) -> None:
 def test_expanding_or_deeply_nested_documents_are_refused_at_once() -> None:
     laughs = "a0: &a0 [x]\n" + "".join(f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]\n" for i in range(9))
     start = time.thread_time()
-    deep = ("[" * 2**20, "a: " + "{b: " * 50_000, "- " * 50_000)
-    for bomb in (laughs, *deep, "seed: " + "0" * 5000, "seed: " + "9" * 10**5):
+    deep = ("[" * 2**16, "a: " + "{b: " * 15_000, "- " * 30_000)
+    for bomb in (laughs, *deep, "seed: " + "9" * 10**5):
         (line,) = refused(bomb)
         assert line.startswith("lab.yaml:") and len(line) < 200
     assert time.thread_time() - start < 20.0
@@ -269,8 +267,8 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     assert refusal(tmp_path).startswith(f"{tmp_path}: expected a settings file, got: Is a directory")
     path.write_bytes(b"seed: 1\nname: \xff\n")
     assert refusal() == f"{path}:2: expected UTF-8 text, got the byte 0xff"
-    path.write_bytes(b"#" * (2**20 + 1))
-    assert refusal().startswith(f"{path}: expected at most 1048576 bytes")
+    path.write_bytes(b"#" * (2**16 + 1))
+    assert refusal().startswith(f"{path}: expected at most 65536 bytes")
     path.write_text("grid:\n  n_trials: 0\n")
     assert refusal().startswith(f"{path}:2: grid.n_trials: expected a number")
     assert load(Study, path, ["grid.n_trials=2"]).grid.n_trials == 2

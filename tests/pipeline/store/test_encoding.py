@@ -84,12 +84,6 @@ def test_numbers_of_every_type_and_shape_come_back(data: st.DataObject, dtype: s
     np.testing.assert_array_equal(found, column)
 
 
-@given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), min_size=1, max_size=5))
-def test_any_text_comes_back(words: list[str]) -> None:
-    found = decode_table(encode_table({"x": np.array(words)}, **FORMAT, producer=""), **FORMAT, source="t")["x"]
-    assert found.tolist() == words
-
-
 def test_values_count_and_not_how_they_lie_in_memory() -> None:
     grid = np.arange(12.0).reshape(4, 3)
     plain = encode_table({"x": grid.T.copy(), "y": grid[0]}, **FORMAT, producer="")
@@ -224,13 +218,6 @@ def test_json_comes_back_and_is_canonical(value: object) -> None:
     assert canonical_json(found) == canonical_json(value) and encode_json(found) == document
 
 
-@given(st.dictionaries(TEXT, PLAIN), st.randoms())
-def test_a_key_does_not_depend_on_the_order_of_names(identity: dict[str, object], random) -> None:
-    pairs = list(identity.items())
-    random.shuffle(pairs)
-    assert key_of(dict(pairs)) == key_of(identity)
-
-
 def test_the_key_is_the_sha256_of_the_canonical_text() -> None:
     identity = {"stage": "evolve", "depth": 0.1, "seed": 2**63, "é": [1.0, -0.0, 1e-7, (True, None)]}
     text = '{"depth":0.1,"seed":9223372036854775808,"stage":"evolve","é":[1.0,-0.0,1e-07,[true,null]]}'
@@ -256,14 +243,7 @@ def test_what_json_has_no_exact_form_for_is_refused(value: object, error: type[E
             encode(value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[1,]", "1 2", "NaN", "9" * 5000, "[" * 10**5, "\xff"])
+@pytest.mark.parametrize("text", ["", "{", "[1,]", "1 2", "NaN", "9" * 5000, "\xff"])
 def test_bad_json_is_refused_by_name(text: str) -> None:
     with pytest.raises(PuddleError, match=r"champion\.json: expected a JSON document"):
         decode_json(text.encode("latin-1"), "champion.json")
-
-
-def test_what_claims_more_memory_than_allowed_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = encode_table({"x": np.arange(1000)}, **FORMAT, producer="")
-    monkeypatch.setattr("pipeline.store.encoding.MAX_TABLE_BYTES", 1000)
-    with pytest.raises(PuddleError, match=r"the file: .* expected at most 1000 bytes in memory"):
-        DECODE["table"](data)

@@ -1,7 +1,6 @@
 """The mirror in a real MLflow database: complete, never double, and never in the study's way."""
 
 import contextlib
-import getpass
 import math
 import os
 import shutil
@@ -35,10 +34,10 @@ CURVE = np.linspace(0, 1, 1500)
 
 
 def part(digest: str, first: int, **curves: Sequence[float]) -> CurvePart:
-    """Return part of a run's curves, as a segment adds it: a generation per second, from ``first`` on."""
+    """Return part of a run's curves, as a segment adds it, from step ``first`` on."""
     n_points = len(next(iter(curves.values())))
     points = CurvePoints(range(first, first + n_points), curves)
-    return CurvePart(digest, lambda: points, 1e9 + first, 1e9 + first + n_points)
+    return CurvePart(digest, lambda: points)
 
 
 def parts(k: int) -> list[CurvePart]:
@@ -93,18 +92,17 @@ def everything(store: Path):
     }
 
 
-def curve(store: Path, trial: str, name: str = "fitness") -> dict[int, tuple[float, int]]:
-    """Return the value and the time [ms] of every step of a trial's curve."""
+def curve(store: Path, trial: str, name: str = "fitness") -> dict[int, float]:
+    """Return the value of every step of a trial's curve."""
     history = client(store).get_metric_history(runs(store)["trial", trial].info.run_id, name)
-    steps = {point.step: (point.value, point.timestamp) for point in history}
+    steps = {point.step: point.value for point in history}
     assert len(steps) == len(history)
     return steps
 
 
 def test_a_study_its_stage_and_its_trials(tmp_path):
-    described = replace(STAGE, description="Stage 3 of 7.", started=1.7e9, ended=1.7e9 + 60)
     with own_databases():
-        quiet(tmp_path).mirror(STUDY, described, TRIALS)
+        quiet(tmp_path).mirror(STUDY, STAGE, TRIALS)
     found = runs(tmp_path)
     study, stage, trial = found["study", "smoke"], found["stage", "evolve"], found["trial", "trial 1"]
     assert len(found) == 4
@@ -112,12 +110,8 @@ def test_a_study_its_stage_and_its_trials(tmp_path):
     assert trial.data.tags["mlflow.parentRunId"] == stage.info.run_id
     assert (study.info.status, stage.info.status, trial.info.status) == ("RUNNING", "FINISHED", "FINISHED")
     assert study.data.params == {"evolution.n_generations": "1500"} and study.data.tags["preset"] == "smoke"
-    assert (stage.info.start_time, stage.info.end_time) == (1_700_000_000_000, 1_700_000_060_000)
-    assert stage.info.user_id == getpass.getuser()
-    assert stage.data.tags["mlflow.note.content"] == "Stage 3 of 7."
     assert (stage.data.tags["study"], stage.data.tags["study_digest"]) == ("smoke", STUDY.key)
-    points = {k: (value + 1, 1_000_000_001_000 + 1000 * k) for k, value in enumerate(CURVE)}
-    assert curve(tmp_path, "trial 1") == points
+    assert curve(tmp_path, "trial 1") == dict(enumerate(CURVE + 1))
     artifacts = tmp_path / "mlartifacts" / stage.info.run_id / "artifacts"
     assert (artifacts / "figures" / "fitness.svg").read_bytes() == b"<svg/>"
 
@@ -169,7 +163,7 @@ def test_what_changed_is_brought_up_to_date_in_place(store):
 def test_only_finite_values_are_sent(store):
     curves = {"fitness": [1.0, math.nan, -math.inf, 4.0], "nothing": [math.nan] * 4}
     quiet(store).mirror(STUDY, STAGE, [Run("trial 0", "0", curves=[part("a", 0, **curves)])])
-    assert {step: value for step, (value, _) in curve(store, "trial 0").items()} == {0: 1.0, 3: 4.0}
+    assert curve(store, "trial 0") == {0: 1.0, 3: 4.0}
     assert "nothing" not in runs(store)["trial", "trial 0"].data.metrics
 
 
@@ -193,7 +187,7 @@ def test_an_interrupted_mirror_is_completed_without_doubles(store):
         assert len(curve(store, trial)) == len(curve(store, trial, "deviation")) == 1500
 
 
-def test_a_failing_mlflow_is_said_once_and_caught_up_with(tmp_path, monkeypatch):
+def test_a_failing_mlflow_is_said_once_and_used_once_it_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # of a database that is not the store's, MLflow keeps the artifacts here
     folder, said = tmp_path / "elsewhere", []
     folder.touch()  # a file where a folder is needed
@@ -204,18 +198,18 @@ def test_a_failing_mlflow_is_said_once_and_caught_up_with(tmp_path, monkeypatch)
     folder.mkdir()
     tracker.mirror(STUDY, replace(STAGE, name="transfer", key="t"))
     assert len(said) == 1 and str(folder) in said[0] and "The study continues" in said[0]
-    assert {name for _, name in runs(folder)} == {"smoke", "collect", "evolve", "transfer", "trial 0", "trial 1"}
+    assert {name for _, name in runs(folder)} == {"smoke", "transfer"}
 
 
-@pytest.mark.parametrize(("listening", "scheme"), [(False, "http"), (True, "http"), (False, "postgresql+psycopg2")])
-def test_an_unreachable_database_is_noticed_within_seconds_and_once(tmp_path, monkeypatch, listening, scheme):
+@pytest.mark.parametrize("listening", [False, True])
+def test_an_unreachable_server_is_noticed_within_seconds_and_once(tmp_path, monkeypatch, listening):
     """Nothing listens on the port, or a server that never answers."""
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
         if listening:
             server.listen()
         address, said = f"127.0.0.1:{server.getsockname()[1]}", []
-        monkeypatch.setenv("MLFLOW_TRACKING_URI", f"{scheme}://{address}")
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://{address}")
         tracker = Tracker(tmp_path, say=said.append)
         for _ in range(2):
             begin = time.monotonic()
@@ -229,13 +223,13 @@ def test_only_the_new_parts_of_a_growing_curve_are_read(store):
     def refuse() -> CurvePoints:
         raise AssertionError("read again")
 
-    trial = TRIALS[0]
+    trial, tracker = TRIALS[0], quiet(store)
     first, second = trial.curves
-    quiet(store).mirror(STUDY, STAGE, [replace(trial, curves=[first])])
-    for _ in range(2):  # another driver knows from MLflow what was sent
-        quiet(store).mirror(STUDY, STAGE, [replace(trial, curves=[replace(first, read=refuse), second])])
-        second = replace(second, read=refuse)
-    assert [value for _, (value, _) in sorted(curve(store, "trial 0").items())] == list(CURVE)
+    tracker.mirror(STUDY, STAGE, [replace(trial, curves=[first])])
+    tracker.mirror(STUDY, STAGE, [replace(trial, curves=[replace(first, read=refuse), second])])
+    both = replace(trial, curves=[replace(first, read=refuse), replace(second, read=refuse)])
+    quiet(store).mirror(STUDY, STAGE, [both])  # another driver knows from MLflow what was sent
+    assert curve(store, "trial 0") == dict(enumerate(CURVE))
 
 
 def test_a_stage_adds_files_to_other_runs(store):
@@ -249,24 +243,6 @@ def test_a_stage_adds_files_to_other_runs(store):
     trial, study = found["trial", "trial 0"].info.run_id, found["study", "smoke"].info.run_id
     assert (files / trial / "artifacts/films/swim.mp4").read_bytes() == b"film"
     assert (files / study / "artifacts/page/index.html").read_bytes() == b"<html>"
-
-
-def test_what_is_unfinished_is_stopped_and_runs_again_when_resumed(store):
-    def statuses() -> dict[str, str]:
-        return {name: run.info.status for (_, name), run in runs(store).items()}
-
-    done, half = TRIALS[0], replace(TRIALS[1], curves=TRIALS[1].curves[:1], status=None)
-    unfinished, tracker = replace(STAGE, status=None), quiet(store)
-    tracker.stop(STUDY, "KILLED")  # nothing was mirrored yet
-    tracker.mirror(STUDY, unfinished, [done, half])
-    for end in ("KILLED", "FAILED"):
-        tracker.stop(STUDY, end)
-        assert statuses() == {"smoke": end, "evolve": end, "trial 0": "FINISHED", "trial 1": end}
-        tracker = quiet(store)
-        tracker.mirror(STUDY, unfinished, [half])
-        assert statuses() == {"smoke": "RUNNING", "evolve": "RUNNING", "trial 0": "FINISHED", "trial 1": "RUNNING"}
-    quiet(store).mirror(replace(STUDY, status="FINISHED"), STAGE, TRIALS)
-    assert set(statuses().values()) == {"FINISHED"}
 
 
 # -- what users' machines do to it -----------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.tracking.database import database_uri
 from pipeline.tracking.mirror import Tracker
+from pipeline.tracking.run import Run
 from pipeline.tracking.server import runs_page, show_ui
 from pipeline.workflow import study_mirror
 from pipeline.workflow.driver import drive
@@ -158,10 +159,23 @@ def test_a_live_trial_is_seen_to_grow(store: Store, browser: Browser, monkeypatc
 
 
 def test_the_runs_page_is_that_of_model_training():
-    page = "http://h:1/#/experiments{}?workflowType=machine_learning&searchFilter={}"
-    studies = "tags.%60puddle.kind%60%20%3D%20%27study%27"
-    assert runs_page("http://h:1", None) == page.format("", studies)
-    assert runs_page("http://h:1", "7") == page.format("/7/runs", studies)
+    page = "http://h:1/#/experiments{}?workflowType=machine_learning&{}"
+    assert runs_page("http://h:1", None) == page.format("", "viewStateShareKey=puddle")
+    assert runs_page("http://h:1", "7", "tiny") == page.format("/7/runs", "searchFilter=tags.study%20%3D%20%27tiny%27")
+
+
+def test_the_list_of_studies_has_their_presets_and_headline_figures(store: Store, browser: Browser):
+    tracker = Tracker(store.root, say=pytest.fail)
+    for name in ("first", "second"):
+        headline = {"ratio_to_true_slush.zero_shot.dry_land.9m": 0.26, "accuracy.slope.mean": 0.5}
+        study = Run(name, name, tags={"preset": "smoke"}, metrics=headline, status="FINISHED")
+        tracker.mirror(study, Run("evolve", "evolve", status="FINISHED"))
+    with pages(store.root) as (_, address):
+        browser.visit(address, width=1600)
+        for words in ("first", "second", "smoke", "ratio_to_true_slush.zero_shot.dry_land.9m", "0.26"):
+            browser.until(f"document.body.innerText.includes({words!r})")
+        text = browser.evaluate("document.body.innerText")
+        assert "evolve" not in text and "accuracy.slope" not in text
 
 
 def test_the_ui_says_what_it_lacks(tmp_path):

@@ -1,7 +1,6 @@
 """The time left, and how it is shown with and without a terminal."""
 
 import contextlib
-import errno
 import io
 import os
 import pty
@@ -11,7 +10,6 @@ import sys
 import pytest
 from rich.console import Console
 
-from pipeline.commands.terminal import to_stderr
 from pipeline.workflow.progress import NOTHING, Pace, StudyTimes, Work, progress
 
 
@@ -84,26 +82,6 @@ with progress() as show:
             bar.advance(Work(1, cost=1))
 print("result")
 """
-
-
-class ClosedTerminal(io.StringIO):
-    """What a process finds whose terminal was closed, if it ignores the signal for that (`nohup`, `disown`)."""
-
-    def write(self, text: str) -> int:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    def flush(self) -> None:
-        self.write("")
-
-
-@pytest.mark.parametrize("is_terminal", [True, False])
-def test_work_goes_on_without_a_terminal(is_terminal, monkeypatch):
-    console = Console(file=ClosedTerminal(), force_terminal=is_terminal)
-    with progress(console, seconds_between_lines=0) as show, show.stage("evolve", unit="items", total=even(2)) as bar:
-        show.say("starting the cluster")
-        bar.advance(even(2))
-    monkeypatch.setattr(sys, "stderr", ClosedTerminal())
-    to_stderr("2 chains of work failed")
 
 
 def test_on_a_terminal_a_bar_that_is_redrawn():

@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 import small_study
-from small_study import ON_REFERENCE, digests, labelled, run, silent
+from small_study import ON_REFERENCE, digests, labelled, run
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.settings import Settings
@@ -79,20 +79,20 @@ def test_a_missing_gpu_is_reported_at_once(kind, request, serial_run):
 
 def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run):
     store, upstream = serial_run
-    found = survey(tiny("ensemble.disagreement_penalty=2.0"), STAGES, store, say=silent)
+    found = survey(tiny("ensemble.disagreement_penalty=2.0"), STAGES, store).upstream
     assert digests({"train": found["train"]}) == digests({"train": upstream["train"]})
     assert {trial.label for trial in found["evolve"].unfinished} == {
         "residual_slush/1m/trial-0",
         "single_member/1m/trial-0",
     }
 
-    more = survey(tiny("evolution.n_generations=8"), STAGES[:4], store, say=silent)
+    more = survey(tiny("evolution.n_generations=8"), STAGES[:4], store).upstream
     assert all(n == 2 for n in more["evolve"].n_done.values())  # the first four generations stand
 
 
 def refusal(name: str, settings: Settings, store: Store) -> str:
     """Return why a stage can't start."""
-    upstream = survey(settings, STAGES, store, say=silent)
+    upstream = survey(settings, STAGES, store).upstream
     (stage,) = (stage for stage in STAGES if stage.name == name)
     with pytest.raises(PuddleError) as refused:
         require(settings, stage, STAGES, upstream, how_to_run=lambda name: f"puddle {name}")
