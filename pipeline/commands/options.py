@@ -9,7 +9,7 @@ import os
 import shlex
 import shutil
 import sysconfig
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -77,6 +77,20 @@ def program() -> str:
     if not own.exists() or (found is not None and own.samefile(found)):
         return "puddle"
     return str(own.relative_to(Path.cwd()) if own.is_relative_to(Path.cwd()) else own)
+
+
+def output_suffix(out: Path, suffixes: Sequence[str], *, replaces: bool = True) -> str:
+    """Return which suffix the file of --out has; refuse a path that can't be one before anything is computed."""
+    try:
+        fits = out.parent.is_dir() and (not out.exists() or (replaces and out.is_file()))
+    except OSError as error:
+        raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
+    if out.suffix.lower() not in suffixes or not fits:
+        kind = "file" if replaces else "new file"
+        raise PuddleError(
+            f"--out: expected a {kind} that ends in {' or '.join(suffixes)}, in an existing folder, got {out}"
+        )
+    return out.suffix.lower()
 
 
 @dataclass(frozen=True)

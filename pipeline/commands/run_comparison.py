@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.commands.options import output_suffix
 from pipeline.config.loading import load
 from pipeline.config.settings import RolloutSettings
 from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_files import KIT, KIT_MANIFEST, read_timeline
-from pipeline.report.run_page import in_mm, note_on, render_run, verdict, words_for_lags
+from pipeline.report.run_page import figures_of_run, in_mm, render_run, verdict
 from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk
 from pipeline.store.design_file import read_design
@@ -21,17 +22,11 @@ from pipeline.store.encoding import check_format, decode_json
 from pipeline.store.track_file import read_track_columns, track_table
 from pipeline.vision.markers_file import Markers
 from pipeline.vision.track_video import TrackOptions, follow
-from tasks.analysis.built_run import (
-    BuiltRobot,
-    LinkPath,
-    RunComparison,
-    RunError,
-    RunPredictor,
-    compare_with_simulation,
-)
+from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, compare_with_simulation
 from tasks.design import N_LINKS
 from tasks.fabrication.kit_settings import FabricationSettings
-from tasks.world import ENVIRONMENTS, Physics, froude_time
+from tasks.simulation import simulate
+from tasks.world import ENVIRONMENTS, Physics, ResidualSlush, froude_time
 
 _MOST_SPEED = 5.0  # of a link in a tank [m/s]
 
@@ -63,28 +58,43 @@ def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Pa
     Raises:
         PuddleError: the run can't be read, is not of this robot, or is too short.
     """
-    if out.suffix != ".html" or not out.parent.is_dir() or out.is_dir():
-        raise PuddleError(f"--out: expected a file name that ends in .html, in an existing folder, got {out}")
+    output_suffix(out, (".html",))
     robot = read_kit(kit)
-    predictor = None if study is None else _predictor(open_study(study, store))
+    if study is not None:
+        robot = _predicted(robot, open_study(study, store))
     paths, lines = _link_paths(source)
     try:
-        comparison = compare_with_simulation(robot, paths, start=source.start, predictor=predictor)
+        comparison = compare_with_simulation(robot, paths, start=source.start)
     except RunError as error:
         raise PuddleError(f"{source.path} with {kit}: {error}") from None
     page = render_run(comparison, source.path.name)
     with disk.explained("writing the page", out, advice="choose another file"):
         disk.place(out, page.encode())
-    lines += _lines(comparison)
+    run = comparison.measured
+    lines += [
+        f"{robot.name}: {run.time[-1] - run.time[0]:.1f} s of steady gait at {robot.frequency:.2f} Hz",
+        *(f"{what}: {measured}, simulated {simulated}" for what, measured, simulated in figures_of_run(comparison)),
+    ]
+    if comparison.prediction is not None:
+        mean, low, high = map(in_mm, comparison.prediction)
+        lines.append(f"predicted: {mean} mm/s, within {low} to {high}")
     return [*lines, f"page: {out}", verdict(comparison)]
 
 
-def _predictor(study: Study) -> RunPredictor:
-    return RunPredictor(study.name, study.ensemble(), study.settings.physics)
+def _predicted(robot: BuiltRobot, study: Study) -> BuiltRobot:
+    """Predict the robot's speed by the ensemble of a study, whose physics may differ from the kit's."""
+    rollout, physics = study.settings.rollout, study.settings.physics
+    at = ResidualSlush(depth=robot.environment.depth, ensemble=study.ensemble())
+    found = simulate(robot.design, at, n_settle=rollout.n_settle, n_measure=rollout.n_measure, physics=physics)
+    if not np.isfinite(found.displacement).all():
+        raise PuddleError(f"the robot diverges under the ensemble of study {study.name}: there is no prediction")
+    seconds = rollout.n_measure * physics.time_step * robot.time_scale
+    by = f"the ensemble of study {study.name}"
+    return replace(robot, predicted=found.displacement[:, 0] * robot.scale / seconds, predicted_by=by)
 
 
 def read_kit(folder: Path) -> BuiltRobot:
-    """Read a kit's folder. Raises PuddleError if it is none, or lacks its timeline or simulation."""
+    """Read a kit's folder. Raises PuddleError if it is none, or lacks its timeline."""
     path = folder / KIT_MANIFEST
     try:
         document = decode_json(path.read_bytes(), str(path))
@@ -93,10 +103,6 @@ def read_kit(folder: Path) -> BuiltRobot:
             f"{folder}: expected a kit of `puddle fabricate`, found no {path.name}: {error.strerror}"
         ) from None
     check_format(document, schema=KIT.schema, version=KIT.version, source=str(path))
-    if "simulated" not in document:
-        raise PuddleError(
-            f"{path}: does not say how the robot was simulated. Make the kit again with `puddle fabricate`."
-        )
     if not (folder / "timeline.json").exists():
         raise PuddleError(f"{folder}: has no timeline.json, because its servos can't play the gait: no run is its own")
     simulated: Mapping[str, Any] = document["simulated"]
@@ -104,20 +110,22 @@ def read_kit(folder: Path) -> BuiltRobot:
     timeline = read_timeline(folder / "timeline.json")
     rollout = RolloutSettings.model_validate(simulated["rollout"])
     scale, predicted = choices.kit.scale_mm_per_m / 1000, simulated["predicted"]
+    physics = Physics.model_validate(simulated["physics"])
+    time_scale = froude_time(scale) if choices.scaling.law == "froude" else 1.0
+    seconds = rollout.n_measure * physics.time_step * time_scale
     return BuiltRobot(
         name=str(document["name"]),
         design=read_design(folder / "design.json"),
         scale=scale,
-        time_scale=froude_time(scale) if choices.scaling.law == "froude" else 1.0,
+        time_scale=time_scale,
         joints=timeline.joints,
         commanded_time=timeline.time,
         commanded=timeline.angle,
         ramp=choices.playback.ramp,
         environment=ENVIRONMENTS["true_slush"].environment(simulated["depth"], simulated["media"]),
-        physics=Physics.model_validate(simulated["physics"]),
+        physics=physics,
         n_settle=rollout.n_settle,
-        n_measure=rollout.n_measure,
-        predicted=None if predicted is None else np.array(predicted, dtype=np.float64),
+        predicted=None if predicted is None else np.array(predicted, dtype=np.float64) * scale / seconds,
     )
 
 
@@ -135,10 +143,8 @@ def _link_paths(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
 
 
 def _read_tracks(path: Path) -> dict[int, LinkPath]:
-    try:
+    with disk.explained("reading tracks", path, advice="name the file that holds the tracks"):
         content = path.read_bytes()
-    except OSError as error:
-        raise PuddleError(f"{path}: expected tracks, got: {error.strerror}") from None
     rows = track_table(read_track_columns(content, str(path)), str(path))
     table = np.column_stack((rows.throw, rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
@@ -160,34 +166,3 @@ def _read_tracks(path: Path) -> dict[int, LinkPath]:
             )
         found[link] = (own[:, 1], np.column_stack((own[:, 2:4], np.unwrap(own[:, 4]))))
     return found
-
-
-def _lines(comparison: RunComparison) -> list[str]:
-    """Return what the terminal says of a comparison."""
-    measured, simulated, turn = (
-        comparison.measured,
-        comparison.simulated,
-        1000 / (2 * np.pi * comparison.robot.frequency),
-    )
-    seconds = measured.time[-1] - measured.time[0]
-    lines = [
-        f"{comparison.robot.name}: {seconds:.1f} s of steady gait at {comparison.robot.frequency:.2f} Hz",
-        f"path: {1000 * measured.x[-1]:+.0f} mm along the tank, simulated {1000 * simulated.x[-1]:+.0f} mm",
-        f"mean height of the root over the water: {1000 * measured.y.mean():+z.0f} mm, simulated "
-        f"{1000 * simulated.y.mean():+z.0f} mm",
-        f"speed: {in_mm(measured.speed)} mm/s, simulated {in_mm(simulated.speed)} mm/s",
-    ]
-    if comparison.prediction is not None:
-        mean, low, high = map(in_mm, comparison.prediction)
-        lines.append(f"predicted: {mean} mm/s, within {low} to {high}")
-    if note := note_on(comparison):
-        lines.append(f"note: {note}")
-    lag = words_for_lags(comparison)
-    for column, joint in enumerate(comparison.robot.joints):
-        (real, expected), gait = comparison.lags[:, column], measured.gaits[column]
-        lines.append(
-            f"joint {joint}: ±{np.degrees(gait.amplitude):.0f}°, simulated "
-            f"±{np.degrees(simulated.gaits[column].amplitude):.0f}°; {lag} {np.degrees(real):+z.0f}° "
-            f"({turn * real:+z.0f} ms), simulated {np.degrees(expected):+z.0f}°"
-        )
-    return lines

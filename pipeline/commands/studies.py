@@ -19,6 +19,7 @@ from pipeline.commands.options import (
     StudyOptions,
     TrackingUri,
     names_of_studies,
+    output_suffix,
     program,
     with_options,
 )
@@ -120,7 +121,6 @@ def compare(
         Path | None, typer.Option("--out", help="Write the table, too: .html, .md, .tex, .csv or .json.")
     ] = None,
     store: StorePath = DEFAULT_STORE,
-    store_b: Annotated[Path | None, typer.Option("--store-b", help="The store of B, if it is another.")] = None,
 ) -> None:
     """Compare two studies, or two arms of one.
 
@@ -134,14 +134,9 @@ def compare(
 
     if (b is None) == (arms is None):
         raise PuddleError("expected two studies, or one study and --arms A B")
-    if out is not None and (out.suffix not in SUFFIXES or not out.parent.is_dir() or out.exists()):
-        expected = f"a new file that ends in {', '.join(SUFFIXES)}, in an existing folder"
-        raise PuddleError(f"--out: expected {expected}, got {out}{', which exists' if out.exists() else ''}")
+    suffix = "" if out is None else output_suffix(out, SUFFIXES, replaces=False)
     first = _opened(a, store)
-    if arms is not None:
-        compared = compare_arms(first, *arms)
-    else:
-        compared = compare_studies(first, _opened(str(b), store_b or store))
+    compared = compare_studies(first, _opened(str(b), store)) if arms is None else compare_arms(first, *arms)
     to_stdout(f"A: {compared.a}; B: {compared.b}, the reference")
     to_stdout(*(f"  {name}: {of_a} → {of_b}" for name, of_a, of_b in compared.changes))
     to_stdout(compared.caution, *as_text(Comparison, compared.rows, SAID_ABOVE, width=_LINE_LENGTH))
@@ -152,7 +147,7 @@ def compare(
     )
     if out is not None:
         with disk.explained("writing the comparison", out, advice="choose another file"):
-            out.write_text(written_comparison(compared, out.suffix), encoding="utf-8")
+            out.write_text(written_comparison(compared, suffix), encoding="utf-8")
         to_stdout(f"\nWritten: {out}")
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Collection
-from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.cluster import Cluster
 from pipeline.commands.options import ExecutionOptions, SettingsOptions, StudyOptions, with_options
 from pipeline.commands.terminal import INCOMPLETE, interruptible, to_stderr, to_stdout
 from pipeline.errors import PuddleError
@@ -48,37 +46,15 @@ def stage_command(*stages: str) -> Callable[..., None]:
             ),
         ] = None,
     ) -> None:
-        run_stages(
-            options,
-            stages,
-            open_cluster=execution.cluster(),
-            recompute=recompute or (),
-            tracking_uri=execution.tracking_uri,
-        )
+        _run_stages(options, execution, stages, recompute or ())
 
     return command
 
 
-def run_stages(
-    options: StudyOptions,
-    stages: tuple[str, ...] = (),
-    *,
-    open_cluster: Callable[[], AbstractContextManager[Cluster]],
-    recompute: Collection[str] = (),
-    tracking_uri: str | None = None,
+def _run_stages(
+    options: StudyOptions, execution: ExecutionOptions, stages: tuple[str, ...], recompute: Collection[str]
 ) -> None:
-    """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE.
-
-    Args:
-        options: the study.
-        stages: names of the stages to run; all of them if empty.
-        open_cluster: starts or joins the cluster, once there is something to compute.
-        recompute: names of stages whose results are discarded first.
-        tracking_uri: an MLflow server; the store's own database by default.
-
-    Raises:
-        PuddleError: the stages to recompute are not among those to run.
-    """
+    """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE."""
     from pipeline.commands.time_model import expected_seconds
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
@@ -100,8 +76,8 @@ def run_stages(
             wanted,
             stages=STAGES,
             store=store,
-            open_cluster=open_cluster,
-            tracker=Tracker(store.root, tracking_uri, say=show.say),
+            open_cluster=execution.cluster(),
+            tracker=Tracker(store.root, execution.tracking_uri, say=show.say),
             progress=show,
             how_to_run=options.command,
             source=options.source,
@@ -109,12 +85,9 @@ def run_stages(
         )
     if wanted[-1] is STAGES[-1]:
         _show_headline(settings, upstream, store, options.named(settings.name))
-    failed = [
-        f"{name}: {identity.label}: {why}" for name, of in upstream.items() for identity, why in of.failed.items()
-    ]
-    diverged = [
-        f"{name}: {identity.label}: {what}" for name, of in upstream.items() for identity, what in of.diverged.items()
-    ]
+    results = upstream.items()
+    failed = [f"{name}: {one.label}: {why}" for name, of in results for one, why in of.failed.items()]
+    diverged = [f"{name}: {one.label}: {what}" for name, of in results for one, what in of.diverged.items()]
     if failed:
         to_stderr("\n".join([f"{len(failed)} chains of work failed; the rest is done:", *failed]))
     if diverged:

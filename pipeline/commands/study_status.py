@@ -7,7 +7,6 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from pipeline.commands.options import program
 from pipeline.config.loading import load, preset_names, preset_path
@@ -173,12 +172,10 @@ class ListedStudy:
 
     study: str
     source: str = ""  # "preset laptop" or the path of a settings file
-    preset: str = ""  # the preset that the settings differ least from, or that they come from
-    differences: tuple[str, ...] = ()  # settings that differ from the preset's: name, value of the preset, own value
+    differences: tuple[str, ...] = ()  # settings that differ from that preset's
     progress: str = ""
     done: bool = False
     n_failed: int = 0  # chains
-    driver: str | None = None
     changed: str = ""  # when its record last changed, ISO 8601
     page: str | None = None  # address of its page, if it has one
     problem: str = ""  # why nothing else is known
@@ -186,7 +183,6 @@ class ListedStudy:
 
 def list_studies(store: Store) -> Iterator[ListedStudy]:
     """Describe every study of a store, which the caller has locked; a damaged one by its problem alone."""
-    presets = {name: _unnamed(load(Settings, preset_path(name)).model_dump(mode="json")) for name in preset_names()}
     for name in store.studies():
         try:
             record = store.read_study(name)
@@ -196,30 +192,24 @@ def list_studies(store: Store) -> Iterator[ListedStudy]:
         except PuddleError as problem:
             yield ListedStudy(name, problem=str(problem))
             continue
-        changes = {preset: differences(values, _unnamed(record.settings)) for preset, values in presets.items()}
-        preset = preset_of(record.source)
-        if preset not in changes:
-            preset = min(changes, key=lambda preset_name: len(changes[preset_name]))
+        preset, changes = preset_of(record.source), list[str]()
+        if preset in preset_names():
+            own = {**record.settings, "name": preset}
+            changes = differences(load(Settings, preset_path(preset)).model_dump(mode="json"), own)
         page = store.export_path(name) / PAGE
         changed = (store.study_path(name) / "study.json").stat().st_mtime
         yield ListedStudy(
             name,
             record.source,
-            preset,
-            tuple(changes[preset]),
+            tuple(changes),
             status.short,
             status.is_done,
             sum(len(stage.failed) for stage in status.stages),
-            status.driver,
             datetime.datetime.fromtimestamp(changed).astimezone().isoformat(sep=" ", timespec="seconds"),
             page.as_uri() if page.is_file() else None,
         )
     for name in store.studies(recorded=False):
         yield ListedStudy(name, problem=f"{store.study_path(name)} has no record, study.json")
-
-
-def _unnamed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in settings.items() if name != "name"}
 
 
 def describe(one: ListedStudy) -> Iterator[str]:
@@ -230,14 +220,12 @@ def describe(one: ListedStudy) -> Iterator[str]:
     yield f"{one.study}: {one.progress}"
     if one.n_failed:
         yield f"  {one.n_failed} chains failed; `{program()} status {one.study}` names them"
-    n_more = len(one.differences) - _MOST_DIFFERENCES
-    shown = "; ".join(one.differences[:_MOST_DIFFERENCES]) + (f"; and {n_more} more" if n_more > 0 else "")
-    is_preset = one.preset == preset_of(one.source)
-    if one.source and not is_preset:
-        yield f"  settings from {one.source}"
-    what = f"preset {one.preset}" if is_preset else f"nearest preset {one.preset}"
-    text = f"{what}, changed: {shown}" if shown else f"{what}, unchanged"
-    yield from textwrap.wrap(text, _LINE_LENGTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False)
+    if one.source:
+        n_more = len(one.differences) - _MOST_DIFFERENCES
+        shown = "; ".join(one.differences[:_MOST_DIFFERENCES]) + (f"; and {n_more} more" if n_more > 0 else "")
+        text = f"settings from {one.source}{shown and ', changed: '}{shown}"
+        wrapped = textwrap.wrap(text, _LINE_LENGTH, break_long_words=False, break_on_hyphens=False)
+        yield textwrap.indent("\n  ".join(wrapped), "  ")
     yield f"  last change {one.changed}"
     if one.page:
         yield f"  {one.page}"

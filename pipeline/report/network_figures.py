@@ -1,4 +1,4 @@
-"""Figures of the throws and the networks: paper, Figs. 2 and 3, and what robots do outside the throws."""
+"""Figures of the throws and the networks: paper, Figs. 2 and 3."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,25 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.drawing import (
-    DASHED,
-    DOTTED,
-    FIGURE_WIDTH,
-    INK,
-    NothingToDraw,
-    legend,
-    panel_grid,
-    sampled,
-    show_at_least,
-)
-from tasks.analysis.coverage import EVERYTHING, CoverageRow
+from pipeline.report.drawing import DASHED, DOTTED, FIGURE_WIDTH, INK, NothingToDraw, legend, panel_grid, sampled
+from pipeline.report.robot_view import link_outline
 from tasks.analysis.estimates import Estimate
 from tasks.analysis.registry import Assessed
-from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.champion_coverage import ChampionCoverage
 from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemble_name
 from tasks.arrays import Float64, Int64
-from tasks.residual import OBSERVATION
 from tasks.world import ENVIRONMENTS
 
 _DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
@@ -39,9 +26,6 @@ _N_BINS = 48
 _COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")  # of projectiles, from short to long
 _VIEW = 20.0  # distance shown to either side of the start of a throw [m]
 _MOST_SIZES = 3  # panels of sizes
-_LABELS = ("length", "height", "angle", "vx", "vy", "spin")
-_SEEN_IN = {"dry_land": "random robots in the base simulator", "residual_slush": "robots evolved in the ensemble"}
-_DATA_SETS = {"throws": "the paper’s throws", "designed_throws": "throws designed for robots"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +66,7 @@ def _paths(panel: Any, throws: ThrowPaths, chosen: Int64, color: str) -> None:
     length = np.nansum(np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2), axis=1)
     length[(np.abs(paths[:, :, :2]) > 0.6 * _VIEW).any(axis=(1, 2))] *= 1e-3
     poses = paths[int(np.argmax(length)), :: max(1, paths.shape[1] // 10)]
-    long = float(throws.length_scale[chosen][0])
-    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * (1 / long, long)
-    cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    turned = np.stack((cos * corners[:, 0] - sin * corners[:, 1], sin * corners[:, 0] + cos * corners[:, 1]), axis=-1)
-    outlines = list(poses[:, None, :2] + turned)
+    outlines = list(link_outline(poses, np.full(len(poses), throws.length_scale[chosen][0])))
     panel.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=INK, linewidths=0.9))
 
 
@@ -142,53 +122,3 @@ def prediction_accuracy(
 
 def _two_digits(found: Estimate) -> str:
     return "–" if found.value is None else f"{found.value:z.2f}".replace("-", "−")
-
-
-Pilots = Mapping[str, Mapping[str, Sequence[CoverageRow]]]  # by data set, and by where robots were seen
-
-
-def coverage(pilots: Pilots) -> Figure:
-    """Draw a panel for each data set: a bar for each component and kind of robot."""
-    if not pilots:
-        raise NothingToDraw
-    figure = Figure(figsize=(FIGURE_WIDTH, 1.8 * len(pilots) + 1.0), layout="constrained")
-    panels = figure.subplots(len(pilots), 1, sharex=True, squeeze=False).ravel()
-    for panel, (words, by_robots) in zip(panels, pilots.items(), strict=True):
-        whole = []
-        for number, (seen_in, rows) in enumerate(by_robots.items()):
-            shares = {row.component: 100 * row.share_outside for row in rows}
-            y = [k + 0.2 * (2 * number - 1) for k in range(len(OBSERVATION))]
-            bars = [shares[name] for name in OBSERVATION]
-            panel.barh(y, bars, height=0.36, color=ENVIRONMENTS[seen_in].color, label=_SEEN_IN[seen_in])
-            whole.append(f"{shares[EVERYTHING]:.0f} %")
-        panel.set_yticks(range(len(OBSERVATION)), _LABELS)
-        panel.invert_yaxis()
-        panel.set_title(f"{_DATA_SETS.get(words, words)}: {' and '.join(whole)} outside")
-    panels[-1].set_xlabel("share of the states outside the throws [%]")
-    legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=1)
-    return figure
-
-
-def champion_coverage(rows: Sequence[ChampionCoverage], scores: Sequence[ScoredTrial]) -> Figure:
-    """Draw a point for each champion: how much of what it does is outside the throws, and what it fails to keep."""
-    known = {(one.environment, one.depth, one.trial): one.predicted - one.zero_shot for one in scores}
-    points: dict[str, list[tuple[float, float]]] = {}
-    for row in rows:
-        short = known.get((row.environment, row.depth, row.trial), np.nan)
-        if row.component == EVERYTHING and np.isfinite(short):
-            points.setdefault(row.environment, []).append((100 * row.share_outside, short))
-    if not points:
-        raise NothingToDraw
-    figure = Figure(figsize=(FIGURE_WIDTH, 3.6), layout="constrained")
-    axes = figure.add_subplot()
-    for name, own in points.items():
-        style = ENVIRONMENTS[name]
-        look: dict[str, Any] = {"marker": style.marker, "color": style.color, "label": style.label}
-        axes.plot(*zip(*own, strict=True), ms=6, mew=0, ls="none", alpha=0.6, **look)
-    axes.axhline(0, color=INK, lw=0.8)
-    axes.set_xlabel("share of a champion’s states outside the throws [%]")
-    axes.set_ylabel("predicted − true displacement [m]")
-    show_at_least(axes)
-    axes.grid()
-    legend(figure, axes.get_legend_handles_labels()[0], n_columns=2)
-    return figure

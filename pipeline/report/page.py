@@ -18,7 +18,7 @@ from pipeline.config.settings import Settings
 from pipeline.report import network_figures, transfer_figures
 from pipeline.report.document import TEMPLATES, document, inline_svg, resource
 from pipeline.report.drawing import Drawing, finish
-from pipeline.report.network_figures import Pilots, ThrowPaths
+from pipeline.report.network_figures import ThrowPaths
 from pipeline.report.render import as_csv, as_html, typeset
 from pipeline.report.replay import Replay, encode
 from pipeline.report.transfer_figures import Curves
@@ -32,7 +32,7 @@ from tasks.world import ENVIRONMENTS
 
 _POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
 _SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
-_MOST_ROWS_OF_CSV = 20_000
+_MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,6 @@ class StudyPage:
     curves: Curves = field(default_factory=dict)
     assessed: Mapping[str, Assessed] = field(default_factory=dict)  # by group of throws, the main one first
     throws: ThrowPaths | None = None  # of the main data set
-    pilots: Pilots = field(default_factory=dict)
     replays: Sequence[Replay] = ()
     rejected: Mapping[str, float] = field(default_factory=dict)  # share of drawn designs, by operator
     created_with: Mapping[str, str] = field(default_factory=dict)  # version by package
@@ -110,20 +109,6 @@ FIGURES: Mapping[str, PageFigure] = {
         "Paths of the thrown links, by size. The blue line is the surface. Of one throw, the link is drawn.",
         lambda page: network_figures.data_set(page.throws),
     ),
-    "coverage": PageFigure(
-        "What the throws cover",
-        "trust",
-        "States of robots before evolution that are farther from the nearest throw than robots’ states are from their "
-        "mean. There the networks extrapolate, and may agree and be wrong. A long bar names a hole in the data.",
-        lambda page: network_figures.coverage(page.pilots),
-    ),
-    "champion_coverage": PageFigure(
-        "Champions outside the throws",
-        "trust",
-        "How much of what champions do where they evolved lies outside the throws, and how far they fall short of "
-        "their prediction. The share is known without True Slush: it shows where to distrust a prediction.",
-        lambda page: network_figures.champion_coverage(page.rows("champion_coverage"), page.rows("scores")),
-    ),
 }
 
 
@@ -176,9 +161,9 @@ def _html(address: Callable[[Any], str], one: Analysis, rows: Sequence[Any], dep
     return as_html(one.row, rows, one.answers, address=address, without=("depth",) if depth is not None else ())
 
 
-def tables_of(page: StudyPage) -> dict[str, bytes]:
+def tables_of(tables: Mapping[str, Sequence[Any]]) -> dict[str, bytes]:
     """Return every table of readable size as CSV, by file name, and the unit and meaning of every column."""
-    readable = {name: rows for name, rows in page.tables.items() if 0 < len(rows) <= _MOST_ROWS_OF_CSV}
+    readable = {name: rows for name, rows in tables.items() if 0 < len(rows) <= _MOST_ROWS_OF_CSV}
     if not readable:
         return {}
     columns = [

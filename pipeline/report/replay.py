@@ -110,20 +110,9 @@ def replay_of(
     overlays: tuple[Overlay, ...] = (),
     push: Float64 | None = None,
 ) -> Replay:
-    """Return a replay, made from the trace of a rollout.
+    """Return the replay of a design from its (n_steps, n_links, 6) trace, without ``n_settle`` steps at the start.
 
-    Args:
-        design: a single design.
-        trace: (n_steps, n_links, 6) as from :func:`tasks.simulation.simulate`.
-        title: see :class:`Replay`, as for the next four.
-        environment: "" if unknown.
-        seen_in: in words.
-        depth: [m]
-        surroundings: above the ground and below y = 0.
-        n_settle: number of steps left out at the start, as for the displacement; 0 shows them.
-        time_step: time between the states of the trace [s].
-        overlays: at the frames, see :func:`at_frames`.
-        push: at the frames.
+    The other arguments are fields of :class:`Replay`; overlays and push are at its frames, see :func:`at_frames`.
 
     Raises:
         ValueError: the rollout diverged.

@@ -1,12 +1,11 @@
 """One robot in its environment, picture by picture: a lane of a film.
 
-Drawn with Pillow at ZOOM times the size and reduced. Positions are computed for all pictures at once; captions and
-words are drawn once.
+Drawn with Pillow at ZOOM times the size and reduced. Positions are computed for all pictures at once.
 """
 
 import math
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 
 import matplotlib as mpl
@@ -90,7 +89,7 @@ class Lane:
             if not long:
                 continue
             label = _metres(at, 0)
-            half = _length(label, 11) / 2
+            half = _font(11).getlength(label) / 2
             if half <= column <= LANE_SIZE[0] - half:  # a label that is cut off would be a wrong distance
                 _write(draw, (column, LANE_SIZE[1] - 9 * ZOOM), label, 11, anchor="mb")
 
@@ -179,23 +178,7 @@ def _write(
     fill: str | Rgb = INK,
 ) -> None:
     """Write text; the anchor is one of Pillow's."""
-    word, left, top = _word(text, size, bold, anchor)
-    draw.bitmap((round(place[0]) + left, round(place[1]) + top), word, fill=fill)
-
-
-@lru_cache(maxsize=1000)
-def _length(text: str, size: int) -> float:
-    return float(_font(size).getlength(text))
-
-
-@lru_cache(maxsize=1000)
-def _word(text: str, size: int, bold: bool, anchor: str) -> tuple[Image.Image, int, int]:
-    """Return the coverage of a text, and its offset from the anchor."""
-    font = _font(size, bold=bold)
-    left, top, right, bottom = (math.floor(side) for side in font.getbbox(text, anchor=anchor))
-    word = Image.new("L", (right + 1 - left, bottom + 1 - top))
-    ImageDraw.Draw(word).text((-left, -top), text, fill=255, font=font, anchor=anchor)
-    return word, left, top
+    draw.text((round(place[0]), round(place[1])), text, fill=fill, font=_font(size, bold=bold), anchor=anchor)
 
 
 def _metres(value: float, digits: int) -> str:

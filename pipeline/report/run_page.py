@@ -18,26 +18,36 @@ _PERIODS = 3.0  # of the gait that the figure of the joints shows
 
 def render_run(comparison: RunComparison, run: str) -> str:
     """Return the page of a comparison; ``run`` is the name of the video or tracks."""
-    both = comparison.measured, comparison.simulated
-    rows = [("speed [mm/s]", *(in_mm(one.speed) for one in both), _predicted(comparison))]
-    for column, joint in enumerate(comparison.robot.joints):
-        amplitudes = (f"±{np.degrees(one.gaits[column].amplitude):.0f}" for one in both)
-        lags = (f"{np.degrees(value):+z.0f}" for value in comparison.lags[:, column])
-        rows.append((f"joint {joint}: amplitude [°]", *amplitudes, ""))
-        rows.append((f"joint {joint}: {words_for_lags(comparison)} [°]", *lags, ""))
     drawn = (("path", "Path of the root", _path), ("joints", "Joints", _joints))
     body = TEMPLATES.get_template("run.html").render(
         run=run,
         name=comparison.robot.name,
         verdict=verdict(comparison),
         figures=[finish(name, title, partial(draw, comparison)) for name, title, draw in drawn],
-        rows=rows,
-        predicted=_predicted(comparison),
+        rows=figures_of_run(comparison),
+        predicted=[in_mm(speed) for speed in comparison.prediction or ()],
         seconds=comparison.measured.time[-1] - comparison.measured.time[0],
-        note=note_on(comparison),
         svg=inline_svg,
     )
     return document(title=f"Run of {comparison.robot.name}", policy="img-src data:", body=body)
+
+
+def figures_of_run(comparison: RunComparison) -> list[tuple[str, ...]]:
+    """Return what the terminal and the page say of a run: a quantity, measured, and simulated."""
+    robot, both = comparison.robot, (comparison.measured, comparison.simulated)
+    words = "lag behind the command" if comparison.start_known else "lag relative to the mean of the joints"
+    rows = [
+        ("path along the tank", *(f"{1000 * one.x[-1]:+.0f} mm" for one in both)),
+        ("mean height of the root over the water", *(f"{1000 * one.y.mean():+z.0f} mm" for one in both)),
+        ("speed", *(f"{in_mm(one.speed)} mm/s" for one in both)),
+    ]
+    for column, joint in enumerate(robot.joints):
+        amplitudes = (np.degrees(one.gaits[column].amplitude) for one in both)
+        lags = comparison.lags[:, column]
+        late = zip(np.degrees(lags), 1000 * lags / (2 * np.pi * robot.frequency), strict=True)
+        rows.append((f"joint {joint}, amplitude", *(f"±{degrees:.0f}°" for degrees in amplitudes)))
+        rows.append((f"joint {joint}, {words}", *(f"{degrees:+z.0f}° ({ms:+z.0f} ms)" for degrees, ms in late)))
+    return rows
 
 
 def verdict(comparison: RunComparison) -> str:
@@ -51,45 +61,16 @@ def verdict(comparison: RunComparison) -> str:
             f"study that it comes from with --study."
         )
     _, low, high = prediction
-    predictor = comparison.predictor
-    predicted_by = "the kit's ensemble" if predictor is None else f"the ensemble of study {predictor.study}"
-    predicted = f"the {in_mm(low)} to {in_mm(high)} mm/s that {predicted_by} predicted"
+    predicted = f"the {in_mm(low)} to {in_mm(high)} mm/s that {comparison.robot.predicted_by} predicted"
     if not low <= measured <= high:
         return f"The robot did not move as predicted: {went}, {'less' if measured < low else 'more'} than {predicted}."
     vague = ", but the prediction leaves the direction open" if low < 0 < high else ""
     return f"The robot moved as predicted{vague}: {went}, within {predicted}."
 
 
-def note_on(comparison: RunComparison) -> str:
-    """Say in what the study that predicts the run simulates another robot than the one that was built, if it does."""
-    if comparison.predictor is None:
-        return ""
-    physics = comparison.robot.physics, comparison.predictor.physics
-    built, evolved = (one.model_dump(mode="json") for one in physics)
-    other = [f"{name} {evolved[name]} (built: {built[name]})" for name in built if built[name] != evolved[name]]
-    if not other:
-        return ""
-    return (
-        f"study {comparison.predictor.study} predicts robots with {', '.join(other)}; a difference need not be "
-        f"the networks' error"
-    )
-
-
-def words_for_lags(comparison: RunComparison) -> str:
-    """Say what the lags of the joints are relative to."""
-    return "lag behind the command" if comparison.start_known else "lag relative to the mean of the joints"
-
-
 def in_mm(speed: float) -> str:
     """Write a speed [m/s] in mm/s."""
     return f"{1000 * speed:+z.1f}"
-
-
-def _predicted(comparison: RunComparison) -> str:
-    if comparison.prediction is None:
-        return ""
-    mean, low, high = map(in_mm, comparison.prediction)
-    return f"{mean} ({low} to {high})"
 
 
 def _path(comparison: RunComparison) -> tuple[Figure, str]:
@@ -98,10 +79,7 @@ def _path(comparison: RunComparison) -> tuple[Figure, str]:
     axes, heights = figure.subplots(2, sharex=True, height_ratios=(3, 1))
     time, simulated = (one.time - one.time[0] for one in (comparison.measured, comparison.simulated))
     band = {"color": _PREDICTED, "alpha": 0.25, "lw": 0, "label": "predicted"}
-    if comparison.members is not None:
-        middle, spread = comparison.members.mean(axis=0), 2 * comparison.members.std(axis=0)
-        axes.fill_between(simulated, 1000 * (middle - spread), 1000 * (middle + spread), **band)
-    elif comparison.prediction is not None:
+    if comparison.prediction is not None:
         axes.fill_between(time, *(1000 * speed * time for speed in comparison.prediction[1:]), **band)
     for axis, values in ((axes, "x"), (heights, "y")):
         axis.plot(simulated, 1000 * getattr(comparison.simulated, values), color=_SIMULATED, label="simulated")

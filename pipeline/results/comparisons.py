@@ -38,7 +38,7 @@ def compare_studies(a: Study, b: Study) -> Compared:
         PuddleError: the two are one, or have no champions of the same environment at the same depth.
     """
     if (a.store.root, a.name) == (b.store.root, b.name):
-        raise PuddleError(f"expected two studies, got study {a.name} twice; --store-b names another store for B")
+        raise PuddleError(f"expected two studies, got study {a.name} twice")
     of_a, of_b = (study.settings.model_dump(mode="json", exclude={"name", "work"}) for study in (a, b))
     changes = [(name, json.dumps(new), json.dumps(old)) for name, old, new in setting_changes(of_b, of_a)]
     pairs = [((name, quantity), (name, quantity)) for name in ENVIRONMENTS for quantity in QUANTITIES]
@@ -52,6 +52,4 @@ def compare_studies(a: Study, b: Study) -> Compared:
         )
     physical = [name for name, _, _ in changes if name.split(".")[0] in _OF_DISPLACEMENT]
     caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
-    same = a.store.root == b.store.root
-    side_a, side_b = (f"study {one.name}{'' if same else f', in {one.store.root}'}" for one in (a, b))
-    return Compared(f"{a.name} against {b.name}", side_a, side_b, changes, rows, caution)
+    return Compared(f"{a.name} against {b.name}", f"study {a.name}", f"study {b.name}", changes, rows, caution)

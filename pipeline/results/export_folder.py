@@ -18,7 +18,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -48,7 +48,6 @@ from tasks.analysis.tables.transfer import TransferRow
 EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 
 LARGE_TABLES = ("histories", "adaptations")  # of every design that ever lived; gigabytes in a large study
-_CSV_PER_PARQUET = 5  # bytes, about
 
 
 def export_study(
@@ -97,8 +96,7 @@ def export_study(
         rows = page.rows("transfer")
         folder.write("transfer.tex", as_latex(TransferRow, rows, f"Transfer results of study {study.name}.").encode())
         n_champions = _write_champions(study, folder)
-        n_bytes = sum(map(study.table_bytes, chosen)) * (_CSV_PER_PARQUET if kind == "csv" else 1)
-        say(f"writing {len(chosen)} tables, at most about {n_bytes / 1e6:,.1f} MB")
+        say(f"writing {len(chosen)} tables")
         n_rows = _write_tables(study, chosen, folder, kind)
         say("drawing figures")
         drawings = draw_all(page, for_print=True)
@@ -139,10 +137,9 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: 
     sheet = io.StringIO()
     columns = csv.writer(sheet, lineterminator="\n")
     columns.writerow(("table", "column", "type", "unit", "meaning"))
-    write = _write_parquet if kind == "parquet" else _write_csv
     for name in tables:
         path = folder.place(f"tables/{name}.{kind}")
-        schema, n_of_table = write(path, partial(study.parts, name))
+        schema, n_of_table = _write(path, partial(study.parts, name), kind)
         disk.fsync(path)
         columns.writerow((name, "", "", "", about(name)))
         for one in schema:
@@ -153,50 +150,37 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: 
     return n_rows
 
 
-def _write_parquet(path: Path, parts: Callable[[], Iterator[pa.Table]]) -> tuple[pa.Schema, int]:
-    """Write a table of any length, one part at a time; return its schema and number of rows."""
-    rest = parts()
-    first, n_rows = next(rest), 0
-    with pq.ParquetWriter(path, first.schema, compression="zstd") as writer:
-        for part in chain((first,), rest):
+def _write(path: Path, parts: Callable[[], Iterator[pa.Table]], kind: str) -> tuple[pa.Schema, int]:
+    """Write a table of any length, one part at a time; return its schema and number of rows.
+
+    In CSV, NaN becomes an empty field, and a list a column per element.
+    """
+    rows = parts() if kind == "parquet" else _flat(parts)
+    first, n_rows = next(rows), 0
+    opened = pq.ParquetWriter(path, first.schema, compression="zstd") if kind == "parquet" else None
+    with opened or pyarrow.csv.CSVWriter(path, first.schema) as writer:
+        for part in chain((first,), rows):
             writer.write_table(part)
             n_rows += len(part)
     return first.schema, n_rows
 
 
-def _write_csv(path: Path, parts: Callable[[], Iterator[pa.Table]]) -> tuple[pa.Schema, int]:
-    """Write a table as :func:`_write_parquet` does; NaN becomes an empty field, and a list a column per element."""
+def _flat(parts: Callable[[], Iterator[pa.Table]]) -> Iterator[pa.Table]:
+    """Replace lists by a column per element, which are empty where the list is shorter, and NaN by null."""
     widths: dict[str, int] = {}
     for part in parts():
         for one in part.schema:
-            width = (pc.max(pc.list_value_length(part[one.name])).as_py() or 1) if _is_list(one) else 0
+            width = (pc.max(pc.list_value_length(part[one.name])).as_py() or 1) if pa.types.is_list(one.type) else 0
             widths[one.name] = max(width, widths.get(one.name, 0))
-    n_rows = 0
-    sheets = (_flat(part, widths) for part in parts())
-    first = next(sheets)
-    with pyarrow.csv.CSVWriter(path, first.schema) as writer:
-        for sheet in chain((first,), sheets):
-            writer.write_table(sheet)
-            n_rows += len(sheet)
-    return first.schema, n_rows
-
-
-def _is_list(one: pa.Field) -> bool:
-    return bool(pa.types.is_list(one.type))
-
-
-def _flat(part: pa.Table, widths: Mapping[str, int]) -> pa.Table:
-    """Replace lists by a column per element, which are empty where the list is shorter, and NaN by null."""
-    columns: list[pa.ChunkedArray] = []
-    fields: list[pa.Field] = []
-    for one, column in zip(part.schema, part.columns, strict=True):
-        names, values = [one.name], [column]
-        if _is_list(one):
-            names = [f"{one.name}_{index}" for index in range(widths[one.name])]
-            padded = pc.list_slice(column, 0, len(names), return_fixed_size_list=True)
-            values = [pc.list_element(padded, index) for index in range(len(names))]
-        for name, value in zip(names, values, strict=True):
-            floating = pa.types.is_floating(value.type)
-            columns.append(pc.if_else(pc.is_nan(value), None, value) if floating else value)
-            fields.append(pa.field(name, value.type, metadata=one.metadata))
-    return pa.Table.from_arrays(columns, schema=pa.schema(fields))
+    for part in parts():
+        columns: list[pa.ChunkedArray] = []
+        fields: list[pa.Field] = []
+        for one, column in zip(part.schema, part.columns, strict=True):
+            values = {one.name: column}
+            if width := widths[one.name]:
+                padded = pc.list_slice(column, 0, width, return_fixed_size_list=True)
+                values = {f"{one.name}_{index}": pc.list_element(padded, index) for index in range(width)}
+            for name, value in values.items():
+                columns.append(pc.if_else(pc.is_nan(value), None, value) if pa.types.is_floating(value.type) else value)
+                fields.append(pa.field(name, value.type, metadata=one.metadata))
+        yield pa.Table.from_arrays(columns, schema=pa.schema(fields))

@@ -37,7 +37,7 @@ def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
     champions = [row for row in page.rows("scores") if row.status == "ok"]
     return {
         "schema": "puddle.results",
-        "version": 3,
+        "version": 4,
         "study": study.name,
         "source": study.record.source,
         "made_with": dict(provenance()),
@@ -58,7 +58,6 @@ def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
             {**row, "this_run": row["this_run"].split(" (")[0], "interval": row["this_run"].partition(" (")[2][:-1]}
             for row in _rows(page, "paper", lambda row: True)
         ],
-        "variance": _rows(page, "variance", lambda row: row.n_replicates > 1),
         "luck": _rows(page, "luck", lambda row: True),
         "champions": [
             {name: _rounded(getattr(row, name)) for name in (*_TRIAL, *_SCORES)}

@@ -10,23 +10,20 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
 from pipeline.config.settings import Settings
+from pipeline.report.page import tables_of
 from pipeline.report.render import as_text
 from pipeline.stages import environments
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.store.tables import Columns, columns_of, csv_of, described, rows_of
+from pipeline.store.tables import Columns, columns_of, described, rows_of
 from pipeline.workflow.identity import OutputId, arms_of, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.registry import Analysis, StudyData
 from tasks.analysis.tables import ANALYSES
-
-_MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
 
 
 @dataclass(frozen=True)
@@ -98,35 +95,22 @@ def read_tables(done: Mapping[OutputId, Files]) -> dict[str, list[Any]]:
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Count how many statements of the paper agree; offer every table of readable size as CSV."""
-    parts: dict[str, list[Columns]] = {}
-    for part, (done,) in results.done.items():
-        assert isinstance(part, OutputId)
-        one = ANALYSES[part.name]
-        file = table_file(one.name)
-        parts.setdefault(part.name, []).append(read_columns({file: store.read(done, file)}, one))
-    lines, metrics, artifacts = list[str](), dict[str, float | None](), dict[str, bytes]()
-    for name, own in parts.items():
-        one, columns = ANALYSES[name], joined(own)
-        n_rows = len(next(iter(columns.values())))
-        if 0 < n_rows <= _MOST_ROWS_OF_CSV:
-            artifacts[f"{name}.csv"] = csv_of(columns)
-            rows: Sequence[Any] = rows_of(one.row, columns)
-            metrics |= one.metrics(rows)
-            if one.section == "tank" and (shown := [row for row in rows if one.shown(row)]):
-                lines += ["", one.answers, *as_text(one.row, shown)]
-            elif one.section == "paper":
-                counts = Counter(row.verdict for row in rows)
-                told = ", ".join(f"{counts[verdict]} × {verdict}" for verdict in VERDICTS)
-                lines += textwrap.wrap(f"{len(rows)} statements of the paper: {told}; the page has the table", 78)
+    files = {part: {name: store.read(done, name) for name in done.files} for part, (done,) in results.done.items()}
+    tables = read_tables({part: own for part, own in files.items() if isinstance(part, OutputId)})
+    lines, metrics = list[str](), dict[str, float | None]()
+    for name, rows in ((name, rows) for name, rows in tables.items() if rows):
+        one = ANALYSES[name]
+        metrics |= one.metrics(rows)
+        if one.section == "tank":
+            lines += ["", one.answers, *as_text(one.row, [row for row in rows if one.shown(row)])]
+        elif one.section == "paper":
+            counts = Counter(row.verdict for row in rows)
+            told = ", ".join(f"{counts[verdict]} × {verdict}" for verdict in VERDICTS)
+            lines += textwrap.wrap(f"{len(rows)} statements of the paper: {told}; the page has the table", 78)
     known = {name: value for name, value in metrics.items() if value is not None and isfinite(value)}
-    counted = ", ".join(f"{name} ({len(next(iter(joined(own).values()))):,})" for name, own in parts.items())
+    counted = ", ".join(f"{name} ({len(rows):,})" for name, rows in tables.items())
     lines = [*textwrap.wrap(f"rows of the tables of study {settings.name}: {counted}", 78), *lines]
-    return Summary(lines=lines, metrics=known, artifacts=artifacts, of_study=True)
-
-
-def joined(parts: Sequence[Columns]) -> Columns:
-    """Join the rows of tables with the same columns."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return Summary(lines=lines, metrics=known, artifacts=tables_of(tables), of_study=True)
 
 
 ANALYSE = Stage(

@@ -103,7 +103,8 @@ def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
         return {TRANSITIONS: _encoded(tracked, item.key), TRACK_REPORT: encode_report(report)}
     starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
     starts = starts[spec.first : spec.first + spec.n]
-    medium = environments.true_medium(spec.media)
+    medium = environments.true_slush(spec.media, 0.0).medium
+    assert medium is not None  # what the base simulator lacks and the networks learn
     transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
     files = {TRANSITIONS: _encoded(transitions, item.key)}
     if spec.throws.design == "robots":
@@ -128,14 +129,9 @@ def throws_inputs(collected: Results, data_set: DataSetId) -> Sources:
     return {InputName(THROWN, chunk): Input(collected.chain(chunk)[0], (TRANSITIONS,)) for chunk in own}
 
 
-def throws_among(inputs: Inputs, data_set: DataSetId | None = None) -> list[Files]:
-    """Select the inputs that are chunks of a data set, or of the only one that there is, in its order."""
-    thrown = {name.chain: files for name, files in inputs.items() if name.role == THROWN}
-    return [
-        files
-        for chunk, files in thrown.items()
-        if data_set is None or (isinstance(chunk, ChunkId) and chunk.data_set == data_set)
-    ]
+def throws_among(inputs: Inputs) -> list[Files]:
+    """Select the chunks of the one data set among an item's inputs, in its order."""
+    return [files for name, files in inputs.items() if name.role == THROWN]
 
 
 def read_transitions(chunks: Sequence[Files]) -> Transitions:
@@ -171,24 +167,10 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             f"{name}{name and ': '}{n_throws:,} throws, {len(transitions):,} transitions; "
             f"{wet.mean():.0%} touch slush, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
         )
-        n_steps = int(transitions.step.max()) + 1
-        lines += [_ranges_line(store, part, n_steps) for part in list(done.values())[:1] if _RANGES in part.files]
         figures = {"wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet}
         counts = {"n_throws": float(n_throws), "n_transitions": float(len(transitions))}
         metrics |= {f"{data_set.prefix.replace('/', '.')}{name}": x for name, x in {**counts, **figures}.items()}
     return Summary(lines=lines or ["no throws"], metrics=metrics)
-
-
-def _ranges_line(store: Store, chunk: Manifest, n_steps: int) -> str:
-    """State the ranges that designed throws start in, and for how many steps they are followed."""
-    ranges = decode_json(store.read(chunk, _RANGES), _RANGES)
-    longer = f", of which the first {ranges['n_steps']} are worth following"
-    return (
-        f"    designed for links of {ranges['length_scale'][0]:g} to {ranges['length_scale'][1]:g} m within "
-        f"± {ranges['y_reach']:g} m of the surface, vx and vy within ± {ranges['max_velocity']:.1f} m/s and ω within "
-        f"± {ranges['max_omega']:.1f} rad/s, followed for {n_steps} steps"
-        f"{longer if n_steps > ranges['n_steps'] else ''}"
-    )
 
 
 COLLECT = Stage(

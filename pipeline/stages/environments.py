@@ -9,6 +9,7 @@ from pipeline.cluster import Spread
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
 from pipeline.stages.data_sets import NetworkId
 from pipeline.store.encoding import decode_arrays
+from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.design import Designs
@@ -16,11 +17,10 @@ from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, ev
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics
+from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Physics
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
-MEMBER = "member"  # role of the inputs that are networks of an ensemble, or of one single-member trial
-SINGLE = "single"  # role of the inputs that are networks of single-member trials and not of an ensemble beside them
+MEMBER = "member"  # role of the inputs that are networks
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 
 
@@ -82,22 +82,20 @@ def true_slush(media: Media, depth: float) -> Environment:
     return build_environment(media, "true_slush", depth, {})
 
 
-def true_medium(media: Media) -> Medium:
-    """Return the medium of True Slush, which the base simulator lacks and the networks learn."""
-    medium = true_slush(media, 0.0).medium
-    assert medium is not None
-    return medium
-
-
-def network_inputs(networks: Iterable[NetworkId], upstream: Upstream, *, role: str = MEMBER) -> Sources:
+def network_inputs(networks: Iterable[NetworkId], upstream: Upstream) -> Sources:
     """Return networks as inputs; raise MissingInputs if one is not trained."""
-    return {InputName(role, one): Input(upstream["train"].chain(one)[-1], (WEIGHTS,)) for one in networks}
+    return {InputName(MEMBER, one): Input(upstream["train"].chain(one)[-1], (WEIGHTS,)) for one in networks}
 
 
-def networks_among(inputs: Inputs, *roles: str) -> dict[NetworkId, Files]:
-    """Select the networks among an item's inputs, or those in some roles."""
-    named = {name.chain: files for name, files in inputs.items() if name.role in (roles or (MEMBER, SINGLE))}
-    return {network: files for network, files in named.items() if isinstance(network, NetworkId)}
+def networks_among(inputs: Inputs) -> dict[NetworkId, Files]:
+    """Select the networks among an item's inputs."""
+    return {name.chain: files for name, files in inputs.items() if isinstance(name.chain, NetworkId)}
+
+
+def read_networks(networks: Iterable[NetworkId], upstream: Upstream, store: Store) -> dict[NetworkId, Files]:
+    """Read networks from a store; raise MissingInputs if one is not trained."""
+    inputs = network_inputs(networks, upstream)
+    return networks_among({name: source.read(store) for name, source in inputs.items()})
 
 
 def execution_options(settings: Settings, environment: EnvironmentName) -> Execution:
@@ -149,16 +147,7 @@ def roll_out(
     trace: bool = False,
     motor_work: bool = False,
 ) -> Rollouts:
-    """Return simulations of designs.
-
-    Args:
-        simulation: physics and duration.
-        execution: the engine.
-        environment: where they are simulated.
-        designs: (n_designs,)
-        trace: whether to record every step.
-        motor_work: whether to add up the work of the motors.
-    """
+    """Simulate designs, with a trace of every step and the work of the motors where they are asked for."""
     return simulate(
         designs,
         environment,
@@ -192,15 +181,7 @@ def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpe
 def evaluate_designs(
     designs: Designs, simulation: SimulationSpec, execution: Execution, environment: Environment, fitness: FitnessSpec
 ) -> Evaluation:
-    """Return the scores of designs; displacement is that at the environment's own depth.
-
-    Args:
-        designs: (n_designs,)
-        simulation: physics and duration.
-        execution: the engine.
-        environment: where they are simulated.
-        fitness: what their fitness is.
-    """
+    """Return the scores of designs; displacement is that at the environment's own depth."""
     motor_work = OBJECTIVES[fitness.objective].motor_work
     at = {depth: replace(environment, depth=depth) for depth in fitness.objective_depths}
     rollouts = {
@@ -219,14 +200,7 @@ def evaluate_designs(
 def scorer(
     simulation: SimulationSpec, execution: Execution, environment: Environment, fitness: FitnessSpec
 ) -> Callable[[Designs], Evaluation]:
-    """Return a function that evaluates (n_designs,) designs, over several workers where the execution options say so.
-
-    Args:
-        simulation: physics and duration.
-        execution: the engine, and the number of designs per batch.
-        environment: where they are simulated.
-        fitness: what their fitness is.
-    """
+    """Return a function that evaluates designs, over several workers where the execution options say so."""
     spread = Spread(evaluate_designs, simulation, execution, environment, fitness)
 
     def score(designs: Designs) -> Evaluation:

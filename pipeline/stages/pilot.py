@@ -21,16 +21,14 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import columns_of, rows_of
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
-from tasks.analysis.coverage import EVERYTHING, CoverageRow, coverage, observed_states
+from tasks.analysis.coverage import EVERYTHING, CoverageRow, coverage, deviations, observed_states
 from tasks.arrays import Float32
 from tasks.design import Designs, Morphology, random_designs
 from tasks.evolution import EMPTY_POPULATION, Afpo, Trial, evolve
-from tasks.residual.support import deviations
 from tasks.seeding import generator, replicate_seed
 from tasks.world import DryLand, Environment, EnvironmentName, ResidualSlush
 
 COVERAGE, STATES = "coverage.parquet", "states.parquet"
-PILOTED = "piloted"  # role of the inputs of later stages that are the pilots of a data set
 _SEEN_IN: tuple[EnvironmentName, ...] = ("dry_land", "residual_slush")
 _WORDS = {"dry_land": "random robots", "residual_slush": "evolved robots"}
 _N_RANDOM = 64  # random designs in the base simulator

@@ -2,7 +2,6 @@
 
 import contextlib
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -10,23 +9,39 @@ from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.report.page import robot_address
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import environments
-from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.study_data import StudyFiles
-from pipeline.workflow.identity import Arm, arms_of
-from tasks.analysis.filmed import NO_MEMBER, Filmed, film_best, film_in_true_slush
-from tasks.analysis.hallucination import acceleration, disagreement, link_states
+from pipeline.workflow.identity import arms_of
+from pipeline.workflow.stage import Execution
+from tasks.analysis.hallucination import acceleration, disagreement, link_states, predicted_accelerations
 from tasks.analysis.registry import Champion
-from tasks.arrays import Float64, Floats
+from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.residual.ensemble import WeightsError
-from tasks.simulation import OK, simulate
-from tasks.world import ENVIRONMENTS, DryLand, EnsembleMedium, EnvironmentName, Medium
+from tasks.simulation import Rollouts
+from tasks.world import ENVIRONMENTS, DryLand, EnsembleMedium, Environment, EnvironmentName
 
 _MOST_SECONDS_IN_TANK = 60.0  # limit on the replays of the tank [s]
 
 
-def arms_with_champions(study: StudyFiles) -> list[list[Champion]]:
+def replays_of(study: StudyFiles) -> list[Replay]:
+    """Return replays of every champion in True Slush, the best of each arm first, and also where it evolved."""
+    replays: list[Replay] = []
+    for own in _arms(study):
+        best = _best_of(study, own)
+        filmed = {replay.robot for replay in best if replay.in_true_slush}
+        rest = (one for one in own if np.isfinite(one.zero_shot) and _address(one) not in filmed)
+        others = [_in_true_slush(study, one) for one in sorted(rest, key=lambda one: -one.zero_shot)]
+        replays += [*best, *(replay for replay in others if replay)]
+    return replays
+
+
+def best_replays(study: StudyFiles) -> list[Replay]:
+    """Return replays in True Slush of the best champion of every arm, for the film of the first screen."""
+    return [replay for own in _arms(study) for replay in _best_of(study, own) if replay.in_true_slush]
+
+
+def _arms(study: StudyFiles) -> list[list[Champion]]:
     """Return the champions of each arm that has some, the deepest first."""
     by_arm = {(arm.environment, arm.depth): list[Champion]() for arm in arms_of(study.spec.trials)}
     for champion in study.champions:
@@ -34,149 +49,140 @@ def arms_with_champions(study: StudyFiles) -> list[list[Champion]]:
     return sorted((own for own in by_arm.values() if own), key=lambda own: -own[0].depth)
 
 
-def replays_of(study: StudyFiles) -> list[Replay]:
-    """Return replays of every champion in True Slush, the best of each arm first, and also where it evolved."""
-    replays: list[Replay] = []
-    for own in arms_with_champions(study):
-        replays += (best := _best_of(study, own))
-        filmed = {replay.robot for replay in best if replay.in_true_slush}
-        rest = [champion for champion in own if _address(champion) not in filmed]
-        others = film_in_true_slush(study, sorted(rest, key=lambda champion: -champion.zero_shot))
-        replays += [_replay(study, film) for film in others]
-    return replays
-
-
-def best_replays(study: StudyFiles) -> list[Replay]:
-    """Return replays in True Slush of the best champion of every arm, for the film of the first screen."""
-    best = (replay for own in arms_with_champions(study) for replay in _best_of(study, own))
-    return [replay for replay in best if replay.in_true_slush]
-
-
 def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
-    """Return replays of an arm's best champion, with the push of the slush and where the members disagree."""
+    """Return replays of an arm's best champion, with the push of the slush and where the members disagree.
+
+    It is the best zero-shot, or the best where it evolved if none survives True Slush.
+    """
     if own[0].environment in RESIDUAL_ENVIRONMENTS and not study.has_networks:
         return []
     scored = np.array([champion.zero_shot for champion in own])
-    mean = float(np.nanmean(scored)) if np.isfinite(scored).any() else np.nan
-    replays = []
-    for film in film_best(study, own):
-        if np.isfinite(film.trace).all():
-            simulation, design = study.spec.simulation, film.champion.design
-            medium = None
-            if film.seen_in in RESIDUAL_ENVIRONMENTS:
-                own_network = NetworkId(study.data_set(film.champion), film.member)
-                medium = environments.ensemble_of({own_network: study.networks[own_network]})
-            arm = Arm(film.seen_in, film.champion.depth)
-            push = push_of(simulation, arm, film.member, design, film.trace, medium)
-            overlays: tuple[Overlay, ...] = ()
-            with contextlib.suppress(WeightsError):  # the stages that evolve under such networks have failed and say so
-                if study.networks:
-                    overlays = doubts(simulation, design, film.trace, study.ensemble(film.champion))
-            plain = _replay(study, film)
-            replays.append(replace(plain, push=push, overlays=overlays, best=True, arm_mean=mean))
-    return replays
+    survives = bool(np.isfinite(scored).any())
+    best = own[int(np.nanargmax(scored if survives else [champion.fitness for champion in own]))]
+    ensemble = None
+    with contextlib.suppress(WeightsError):  # the stages that evolve under such networks have failed and say so
+        ensemble = study.ensemble(best) if study.networks else None
+    replays = [_in_true_slush(study, best, with_push=True, ensemble=ensemble)] if survives else []
+    if best.environment != "true_slush":
+        replays.append(_replay(study, best, best.environment, study.home(best), with_push=True, ensemble=ensemble))
+    mean = float(np.nanmean(scored)) if survives else np.nan
+    return [replace(replay, best=True, arm_mean=mean) for replay in replays if replay]
 
 
 def _address(champion: Champion) -> str:
     return robot_address(champion.environment, champion.depth, champion.trial)
 
 
-def _replay(study: StudyFiles, film: Filmed) -> Replay:
-    champion = film.champion
-    style, simulation = ENVIRONMENTS[champion.environment], study.spec.simulation
-    label = "Residual Slush" if film.seen_in in RESIDUAL_ENVIRONMENTS else ENVIRONMENTS[film.seen_in].label
-    replay = replay_of(
+def _in_true_slush(
+    study: StudyFiles, champion: Champion, *, with_push: bool = False, ensemble: EnsembleMedium | None = None
+) -> Replay | None:
+    at = study.true_slush(champion.depth)
+    return _replay(study, champion, "true_slush", at, with_push=with_push, ensemble=ensemble)
+
+
+def _replay(
+    study: StudyFiles,
+    champion: Champion,
+    seen_in: EnvironmentName,
+    environment: Environment,
+    *,
+    with_push: bool,
+    ensemble: EnsembleMedium | None,
+) -> Replay | None:
+    label = ENVIRONMENTS[champion.environment].label
+    replay = replay_in(
         champion.design,
-        film.trace[0],
-        title=f"{style.label}, trial {champion.trial}",
-        environment=champion.environment,
-        seen_in=label if film.member == NO_MEMBER else f"{label} (member {film.member})",
-        depth=champion.depth,
-        surroundings=surroundings_in(film.seen_in),
-        n_settle=study.n_settle,
-        time_step=simulation.physics.time_step,
+        study.simulate(environment, champion.design, trace=True),
+        seen_in,
+        environment,
+        study.spec.simulation,
+        title=f"{label}, trial {champion.trial}",
+        with_push=with_push,
+        ensemble=ensemble,
+        number=study.member(champion),
     )
-    return replace(replay, robot=_address(champion), group=f"{style.label}, {champion.depth:g} m")
-
-
-def surroundings_in(environment: EnvironmentName) -> Surroundings:
-    """Return what fills an environment."""
-    if environment in RESIDUAL_ENVIRONMENTS:
-        return "hallucinated slush"
-    known: dict[str, Surroundings] = {"dry_land": "air", "true_slush": "true slush"}
-    return known.get(environment, "another medium")
-
-
-def doubts(simulation: SimulationSpec, design: Designs, trace: Floats, ensemble: EnsembleMedium) -> tuple[Overlay, ...]:
-    """Return how an ensemble's members disagree along one rollout; none where there is a single member.
-
-    Args:
-        simulation: physics and rollout.
-        design: a single design.
-        trace: (1, n_steps, n_links, 6)
-        ensemble: the members.
-    """
-    of_links = disagreement(design, trace, ensemble, simulation.physics)[0]
-    values = at_frames(of_links, simulation.rollout.n_settle)
-    return (Overlay("disagreement of the members", "m/s²", values),) if np.isfinite(values).any() else ()
-
-
-def push_of(
-    simulation: SimulationSpec, arm: Arm, member: int, design: Designs, trace: Floats, learned: Medium | None
-) -> Float64 | None:
-    """Return the acceleration of each link by the medium, (n_frames, n_links, 2) [m/s²]; None where there is none.
-
-    Args:
-        simulation: physics, rollout, and the environment's medium.
-        arm: the environment and its depth.
-        member: number of the member of an ensemble, or NO_MEMBER.
-        design: a single design.
-        trace: (1, n_steps, n_links, 6)
-        learned: what the member predicts, in an environment of networks.
-    """
-    medium = learned
-    if arm.environment not in RESIDUAL_ENVIRONMENTS:
-        environment = environments.build_environment(simulation.media, arm.environment, arm.depth, {})
-        medium = environment.components[max(member, 0)].medium
-    if medium is None:
+    if replay is None:
         return None
-    change = acceleration(medium, link_states(design, trace, simulation.physics), simulation.physics)
-    return at_frames(change[0, ..., :2], simulation.rollout.n_settle)
+    group = f"{label}, {champion.depth:g} m"
+    return replace(replay, environment=champion.environment, robot=_address(champion), group=group)
 
 
-def tank_replays(settings: Settings, champion: Champion, engine: Any) -> list[Replay]:
+def replay_in(
+    design: Designs,
+    rollouts: Rollouts,
+    name: EnvironmentName,
+    environment: Environment,
+    simulation: SimulationSpec,
+    *,
+    title: str,
+    with_push: bool,
+    ensemble: EnsembleMedium | None,
+    number: int | None = None,
+) -> Replay | None:
+    """Return the replay of a design in an environment, in an ensemble that of the median member; None if it diverged.
+
+    Args:
+        design: a single design.
+        rollouts: its simulation there, with a trace.
+        name: name of the environment.
+        environment: the environment.
+        simulation: settings of the simulation.
+        title: heading.
+        with_push: whether to show the push of the medium.
+        ensemble: whose members' disagreement to show, if any.
+        number: of the network in its data set, where it is not its place in the ensemble.
+    """
+    assert rollouts.trace is not None
+    physics, n_settle, hallucinated = simulation.physics, simulation.rollout.n_settle, name in RESIDUAL_ENVIRONMENTS
+    member = median_member(rollouts.displacement[:, 0]) if environment.is_ensemble else None
+    trace = rollouts.trace if member is None else rollouts.trace[member]
+    if not np.isfinite(trace).all():
+        return None
+    push, overlays = None, list[Overlay]()
+    if with_push and hallucinated:
+        predicted, _ = predicted_accelerations(design, trace, environment.medium, physics)  # type: ignore[arg-type]
+        push = at_frames(predicted[member or 0, 0, ..., :2], n_settle)
+    elif with_push and (medium := environment.components[member or 0].medium) is not None:
+        push = at_frames(acceleration(medium, link_states(design, trace, physics), physics)[0, ..., :2], n_settle)
+    if ensemble is not None and ensemble.n_members > 1:
+        doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
+        overlays.append(Overlay("disagreement of the members", "m/s²", doubts))
+    label = "Residual Slush" if hallucinated else ENVIRONMENTS[name].label
+    fills: dict[str, Surroundings] = {"dry_land": "air", "true_slush": "true slush"}
+    return replay_of(
+        design,
+        trace[0],
+        title=title,
+        environment="",
+        seen_in=label if member is None else f"{label} (member {member if number is None else number})",
+        depth=environment.depth,
+        surroundings="hallucinated slush" if hallucinated else fills.get(name, "another medium"),
+        n_settle=n_settle,
+        time_step=physics.time_step,
+        overlays=tuple(overlays),
+        push=push,
+    )
+
+
+def median_member(values: Float64) -> int:
+    """Return the member with the median of (n_members,) values, the lower of two; non-finite values are ignored."""
+    ranked = np.argsort(values, kind="stable")  # NaN, for a rollout that diverged, comes last
+    return int(ranked[max(int(np.isfinite(values).sum()) - 1, 0) // 2])
+
+
+def tank_replays(settings: Settings, champion: Champion, execution: Execution) -> list[Replay]:
     """Return replays of a proposed champion in the tank and on its dry floor, without those that diverged."""
     assert settings.tank is not None
-    tank, n_settle, time_step = settings.tank, settings.rollout.n_settle, settings.physics.time_step
+    tank, simulation = settings.tank, environments.simulation_spec(settings, "true_slush")
+    time_step, evolved = settings.physics.time_step, ENVIRONMENTS[champion.environment].evolved
+    n_measure = min(tank.n_steps(time_step), round(_MOST_SECONDS_IN_TANK / time_step))
+    simulation = replace(simulation, rollout=simulation.rollout.model_copy(update={"n_measure": n_measure}))
+    filled, drained = environments.true_slush(simulation.media, tank.simulated_depth), DryLand(depth=0.0)
     replays = []
-    media = environments.media_of(settings, "true_slush")
-    for surrounding, words in (
-        (environments.true_slush(media, tank.simulated_depth), "the tank"),
-        (DryLand(depth=0.0), "the drained tank"),
-    ):
-        rollouts = simulate(
-            champion.design,
-            surrounding,
-            n_settle=n_settle,
-            n_measure=min(tank.n_steps(time_step), round(_MOST_SECONDS_IN_TANK / time_step)),
-            engine=engine,
-            trace=True,
-            physics=settings.physics,
-        )
-        if rollouts.status[0] == OK:
-            assert rollouts.trace is not None
-            evolved = ENVIRONMENTS[champion.environment].evolved
-            replays.append(
-                replay_of(
-                    champion.design,
-                    rollouts.trace[0],
-                    title=f"To build: evolved {evolved}, trial {champion.trial}, in {words}",
-                    environment="",
-                    seen_in=words,
-                    depth=round(surrounding.depth, 2),
-                    surroundings="air" if surrounding.medium is None else "true slush",
-                    n_settle=n_settle,
-                    time_step=time_step,
-                )
-            )
+    for name, at, words in (("true_slush", filled, "the tank"), ("dry_land", drained, "the drained tank")):
+        rollouts = environments.roll_out(simulation, execution, at, champion.design, trace=True)
+        title = f"To build: evolved {evolved}, trial {champion.trial}, in {words}"
+        replay = replay_in(champion.design, rollouts, name, at, simulation, title=title, with_push=False, ensemble=None)
+        if replay is not None:
+            replays.append(replace(replay, seen_in=words, depth=round(at.depth, 2)))
     return replays

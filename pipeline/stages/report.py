@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings, WorkSettings
 from pipeline.report.camera import FILM_FPS
-from pipeline.report.network_figures import Pilots, ThrowPaths
+from pipeline.report.network_figures import ThrowPaths
 from pipeline.report.page import StudyPage, heroes, robot_address, tables_of
 from pipeline.report.render import typeset
 from pipeline.report.transfer_figures import Curves
@@ -17,7 +17,6 @@ from pipeline.stages.analyse import read_tables
 from pipeline.stages.assess import ASSESSED, AssessmentId, read_predictions
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import DataSetId, main_data_set
-from pipeline.stages.pilot import COVERAGE, PILOTED, read_coverage
 from pipeline.stages.replays import best_replays, replays_of, tank_replays
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.stages.transfer import SCORED
@@ -97,8 +96,6 @@ def _item(
             inputs[InputName(ADAPTATION, trial, number)] = Input(segment, (segments.CURVE,))
     for identity, (analysis,) in upstream["analyse"].done.items():
         inputs[InputName(ANALYSED, identity)] = Input(analysis, tuple(analysis.files))
-    for data_set, (piloted,) in upstream["pilot"].done.items() if "pilot" in upstream else ():
-        inputs[InputName(PILOTED, data_set)] = Input(piloted, (COVERAGE,))
     if settings.needs_ensemble:
         with suppress(MissingInputs):
             inputs |= throws_inputs(upstream["collect"], main_data_set(settings))
@@ -163,7 +160,7 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     study = StudyFiles(data_spec(settings, trials_of(settings, "transfer")), execution, inputs)
     page = _study_page(spec, inputs, study, with_replays=True)
     drawings = draw_all(page)
-    files = {PAGE: render_page(page, drawings).encode(), **tables_of(page)}
+    files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables)}
     for champion in study.champions:
         address = robot_address(champion.environment, champion.depth, champion.trial)
         files[f"{address}.json"] = encode_json(design_document(champion.design))
@@ -188,8 +185,7 @@ def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles, *, with_r
         tables=tables,
         curves=_by_arm(evolved),
         assessed={group: one for group in settings.throw_groups if (one := study.assessed(group)) is not None},
-        throws=_throws(settings, inputs),
-        pilots=_pilots(inputs),
+        throws=_throws(inputs),
         rejected=_rejected(list(evolved.values())),
         created_with=spec.made_with,
         digests=spec.digests,
@@ -200,9 +196,7 @@ def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles, *, with_r
     if not with_replays:
         return page
     in_tank = [
-        replay
-        for champion in _proposed(page, study)
-        for replay in tank_replays(settings, champion, study.execution.engine)
+        replay for champion in _proposed(page, study) for replay in tank_replays(settings, champion, study.execution)
     ]
     return replace(page, replays=[*replays_of(study), *in_tank])
 
@@ -214,13 +208,7 @@ def _proposed(page: StudyPage, study: StudyFiles) -> list[Champion]:
 
 
 def read_page(settings: Settings, upstream: Upstream, store: Store) -> StudyPage:
-    """Return what the page shows of a study, without its replays.
-
-    Args:
-        settings: the study's settings.
-        upstream: results of the stages before.
-        store: where they are.
-    """
+    """Return what the page shows of a study, without its replays."""
     item = _item(settings, _plan(settings)[0], 0, None, upstream)
     assert isinstance(item.spec, PageItemSpec)
     inputs = {name: source.read(store) for name, source in item.inputs.items()}
@@ -246,9 +234,9 @@ def _by_arm(evolved: Mapping[ChainId, Columns]) -> Curves:
     return {arm: [curve["best_fitness"] for curve in own] for arm, own in curves.items()}
 
 
-def _throws(settings: Settings, inputs: Inputs) -> ThrowPaths | None:
+def _throws(inputs: Inputs) -> ThrowPaths | None:
     """Arrange the transitions of the main throws as paths; steps that tracked throws lack are NaN."""
-    chunks = throws_among(inputs, main_data_set(settings)) if settings.needs_ensemble else []
+    chunks = throws_among(inputs)
     if not chunks:
         return None
     table = read_transitions(chunks)
@@ -256,16 +244,6 @@ def _throws(settings: Settings, inputs: Inputs) -> ThrowPaths | None:
     path = np.full((len(throws), int(table.step.max()) + 1, 3), np.nan)
     path[number, table.step] = table.state[:, :3]
     return ThrowPaths(table.length_scale[first].astype(np.float64), path)
-
-
-def _pilots(inputs: Inputs) -> Pilots:
-    """Return the coverage of the first replicate of each data set."""
-    pilots = {name.chain: files for name, files in inputs.items() if name.role == PILOTED}
-    return {
-        data_set.label: read_coverage(files)
-        for data_set, files in pilots.items()
-        if isinstance(data_set, DataSetId) and data_set.replicate == 0
-    }
 
 
 def _rejected(curves: Sequence[Columns]) -> dict[str, float]:
@@ -312,7 +290,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
 
 REPORT = Stage(
     name="report",
-    version=19,
+    version=20,
     unit="pictures",
     reads=_reads,
     plan=_plan,

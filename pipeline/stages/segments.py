@@ -76,13 +76,7 @@ class SegmentSpec:
 
 
 def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName) -> TrialSpec:
-    """Return the specification that the segments of a trial share.
-
-    Args:
-        settings: the study's settings.
-        trial: the trial.
-        environment: where its designs are simulated.
-    """
+    """Return the specification that the segments of a trial share, whose designs are simulated in an environment."""
     return TrialSpec(
         trial,
         settings.seed,
@@ -101,13 +95,7 @@ def segment_lengths(settings: Settings, n_generations: int) -> tuple[int, ...]:
 
 
 def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -> Chain[TrialSpec]:
-    """Return a trial as a chain of items; trials in one environment at one depth may be batched.
-
-    Args:
-        settings: the study's settings.
-        spec: what its items have in common.
-        units: generations of each item.
-    """
+    """Return a trial as a chain of items of some generations; trials in one environment at one depth may be batched."""
     n_depths = len({spec.identity.depth, *spec.objective_depths})
     return Chain(
         spec.identity,

@@ -3,14 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from numpy.random import Generator
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.stages import environments
 from pipeline.stages.assess import ASSESSED, PREDICTIONS, AssessmentId, read_predictions
-from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import (
     DataSetId,
     NetworkId,
@@ -21,20 +19,17 @@ from pipeline.stages.data_sets import (
     networks_of,
     own_network,
 )
-from pipeline.stages.environments import MEMBER, SINGLE, SimulationSpec, network_inputs, networks_among
+from pipeline.stages.environments import SimulationSpec, network_inputs, networks_among
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.workflow.identity import InputName, TrialId, arms_of
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
-from tasks.analysis.registry import Assessed, Champion
+from tasks.analysis.registry import AnalysisSettings, Assessed, Champion
 from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tank import Tank
 from tasks.design import Designs
-from tasks.evolution import Deviation
-from tasks.residual import Transitions, split_throws
-from tasks.seeding import generator, replicate_seed
+from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, Physics
 
@@ -46,12 +41,8 @@ class DataSpec:
     seed: int
     trials: tuple[TrialId, ...]
     simulation: SimulationSpec
-    depths: tuple[float, ...]
-    assessed_depth: float
-    throw_groups: tuple[str, ...]
-    deviation: Deviation
-    held_out: float
-    tank: Tank | None
+    n_members: int  # of an ensemble
+    settings: AnalysisSettings
 
 
 def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
@@ -60,26 +51,25 @@ def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
         settings.seed,
         tuple(trials),
         environments.simulation_spec(settings, "true_slush", *(arm.environment for arm in arms_of(trials))),
-        settings.grid.depths,
-        settings.assessed_depth,
-        settings.throw_groups,
-        settings.ensemble.deviation,
-        settings.training.held_out,
-        settings.tank,
+        settings.ensemble.n_members,
+        AnalysisSettings(
+            settings.assessed_depth,
+            settings.throw_groups,
+            settings.ensemble.deviation,
+            settings.tank,
+            settings.physics,
+            settings.rollout.n_settle,
+        ),
     )
 
 
 def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[str], upstream: Upstream) -> Sources:
     """Return the files of some trials that the data of some stages are in.
 
-    Args:
-        settings: the study's settings.
-        trials: the trials; those that need no networks are served by the main ensemble.
-        reads: names of the stages.
-        upstream: results of the stages before.
+    Trials that need no networks are served by the main ensemble.
 
     Raises:
-        MissingInputs: a network or throws that serve the trials are missing.
+        MissingInputs: a network that serves the trials is missing.
     """
     inputs: Sources = {}
     for trial in trials:
@@ -89,17 +79,12 @@ def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[s
     if "assess" in reads:  # in the order of their labels: resampling depends on the order of designs
         for assessed, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, assessed)] = Input(share, (PREDICTIONS,))
-    main = main_data_set(settings).group if {"train", "collect"} & set(reads) else ""
-    served = dict.fromkeys(data_set_of(trial, main) for trial in trials)
     if "train" in reads:
+        served = {data_set_of(trial, main_data_set(settings).group) for trial in trials}
         listed = [data_set for data_set in data_sets(settings) if data_set in served]
         members = [network for data_set in listed for network in ensemble_ids(settings, data_set)]
-        own = dict.fromkeys(network for trial in trials for network in networks_of(settings, trial))
-        inputs |= network_inputs(members, upstream)
-        inputs |= network_inputs((one for one in own if one not in members), upstream, role=SINGLE)
-    if "collect" in reads:
-        for data_set in served:
-            inputs |= throws_inputs(upstream["collect"], data_set)
+        own = [network for trial in trials for network in networks_of(settings, trial)]
+        inputs |= network_inputs(dict.fromkeys([*members, *own]), upstream)
     return inputs
 
 
@@ -112,32 +97,8 @@ class StudyFiles:
     inputs: Inputs
 
     @property
-    def depths(self) -> Sequence[float]:
-        return self.spec.depths
-
-    @property
-    def assessed_depth(self) -> float:
-        return self.spec.assessed_depth
-
-    @property
-    def throw_groups(self) -> Sequence[str]:
-        return self.spec.throw_groups
-
-    @property
-    def deviation(self) -> Deviation:
-        return self.spec.deviation
-
-    @property
-    def tank(self) -> Tank | None:
-        return self.spec.tank
-
-    @property
-    def physics(self) -> Physics:
-        return self.spec.simulation.physics
-
-    @property
-    def n_settle(self) -> int:
-        return self.spec.simulation.rollout.n_settle
+    def settings(self) -> AnalysisSettings:
+        return self.spec.settings
 
     @property
     def has_networks(self) -> bool:
@@ -182,32 +143,27 @@ class StudyFiles:
         return environments.true_slush(self.spec.simulation.media, depth)
 
     def home(self, champion: Champion) -> Environment:
-        networks = self._home_networks(champion)
-        key = champion.environment, champion.depth, *networks
-        if key not in self._homes:
-            media = self.spec.simulation.media
-            built = environments.build_environment(media, champion.environment, champion.depth, networks)
-            self._homes[key] = built
-        return self._homes[key]
+        """Return where a champion evolved."""
+        trial, kind, networks = self.trial_of(champion), ENVIRONMENTS[champion.environment], dict[NetworkId, Files]()
+        if kind.networks == "all":
+            networks = self._members(data_set_of(trial, kind.learns_from))
+        elif kind.networks == "one":
+            own = NetworkId(data_set_of(trial, kind.learns_from), own_network(trial))
+            networks = {own: self.networks[own]}
+        return environments.build_environment(
+            self.spec.simulation.media, champion.environment, champion.depth, networks
+        )
 
-    def member(self, champion: Champion) -> int:
+    def member(self, champion: Champion) -> int | None:
+        """Return the number of the network that a champion evolved in, if it was a single one."""
         one = ENVIRONMENTS[champion.environment].networks == "one"
-        return own_network(self.trial_of(champion)) if one else -1
+        return own_network(self.trial_of(champion)) if one else None
 
     def ensemble(self, champion: Champion | None = None) -> EnsembleMedium:
         data_set = self.data_set(champion)
         if data_set not in self._ensembles:
             self._ensembles[data_set] = environments.ensemble_of(self._members(data_set))
         return self._ensembles[data_set]
-
-    def throws(self, champion: Champion | None = None) -> tuple[Transitions, Transitions]:
-        data_set = self.data_set(champion)
-        if data_set not in self._throws:
-            transitions = read_transitions(throws_among(self.inputs, data_set))
-            seed = replicate_seed(self.spec.seed, data_set.replicate)
-            learned, held_out = split_throws(transitions.throw, self.spec.held_out, seed=seed)
-            self._throws[data_set] = transitions[learned], transitions[held_out]
-        return self._throws[data_set]
 
     def simulate(
         self,
@@ -226,7 +182,7 @@ class StudyFiles:
             n_measure=n_measure or rollout.n_measure,
             engine=self.execution.engine,
             trace=trace,
-            physics=physics or self.physics,
+            physics=physics or self.settings.physics,
         )
 
     def rng(self, *identity: str | float) -> Generator:
@@ -242,31 +198,14 @@ class StudyFiles:
         return main if champion is None else data_set_of(self.trial_of(champion), main.group)
 
     def _members(self, data_set: DataSetId) -> dict[NetworkId, Files]:
-        members = networks_among(self.inputs, MEMBER)
-        return {network: files for network, files in members.items() if network.data_set == data_set}
-
-    def _home_networks(self, champion: Champion) -> dict[NetworkId, Files]:
-        trial, kind = self.trial_of(champion), ENVIRONMENTS[champion.environment]
-        if kind.networks == "none":
-            return {}
-        data_set = data_set_of(trial, kind.learns_from)
-        if kind.networks == "all":
-            return self._members(data_set)
-        own = NetworkId(data_set, own_network(trial))
-        return {own: self.networks[own]}
+        """Return the members of the ensemble of a data set, without further networks of single-member trials."""
+        own = {one: files for one, files in self.networks.items() if one.data_set == data_set}
+        return {one: files for one, files in own.items() if one.index < self.spec.n_members}
 
     @cached_property
     def _trials(self) -> Mapping[tuple[str, float, int], TrialId]:
         return {(trial.environment, trial.depth, trial.index): trial for trial in self.spec.trials}
 
     @cached_property
-    def _homes(self) -> dict[Any, Environment]:
-        return {}
-
-    @cached_property
     def _ensembles(self) -> dict[DataSetId, EnsembleMedium]:
-        return {}
-
-    @cached_property
-    def _throws(self) -> dict[DataSetId, tuple[Transitions, Transitions]]:
         return {}

@@ -141,10 +141,7 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
 def _in_true_slush(trial: TrialSpec, execution: Execution, design: Designs) -> tuple[float, float]:
     """Return the displacement of a design's root and centre of mass [m]; NaN where it diverged.
 
-    Args:
-        trial: of an adaptation, so that its environment is True Slush.
-        execution: the engine.
-        design: a single design.
+    The trial is an adaptation, so that its environment is True Slush.
     """
     rollouts = environments.roll_out(trial.simulation, execution, trial.at_home({}), design)
     root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
@@ -152,13 +149,7 @@ def _in_true_slush(trial: TrialSpec, execution: Execution, design: Designs) -> t
 
 
 def read_trials(settings: Settings, results: Results, store: Store) -> list[ScoredTrial]:
-    """Return what is known of every trial's champion, in the order of the trials.
-
-    Args:
-        settings: the study's settings.
-        results: what the store holds of this stage.
-        store: where it is.
-    """
+    """Return what is known of every trial's champion, in the order of the trials."""
     files = {trial: {SCORE: store.read(parts[-1], SCORE)} for trial, parts in results.done.items()}
     return [scored_trial(trial, files.get(trial)) for trial in trials_of(settings, "transfer")]
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any
 
 from pipeline.stages.data_sets import replicate_of
 from pipeline.store.encoding import decode_json, encode_json
@@ -13,12 +13,6 @@ from tasks.analysis.scores import ScoredTrial
 SCORE = "score.json"  # name of the file
 NO_CHAMPION = "no champion: every design of the trial diverged"  # status of a trial without survivors
 OK_STATUS = "ok"  # status of a trial with a champion
-
-ScoreName: TypeAlias = Literal[
-    "fitness", "predicted", "predicted_sd", "zero_shot", "zero_shot_com", "adapted", "adapted_com"
-]
-"""Fields of TrialScores."""
-SCORE_NAMES: tuple[ScoreName, ...] = get_args(ScoreName)
 
 
 @dataclass(frozen=True)
@@ -33,14 +27,10 @@ class TrialScores:
     adapted: float | None = None  # of its root with a controller that evolved there; None if not adapted
     adapted_com: float | None = None  # displacement of its centre of mass, likewise
 
-    def finite(self, name: ScoreName) -> float | None:
-        """Return a score; None if there is none or its rollout diverged."""
-        value: float | None = getattr(self, name)
-        return value if value is not None and math.isfinite(value) else None
-
     def by_name(self) -> dict[str, float | None]:
-        """Return every score, as :meth:`finite` does."""
-        return {name: self.finite(name) for name in SCORE_NAMES}
+        """Return every score; None where there is none or its rollout diverged."""
+        known: dict[str, float | None] = vars(self)
+        return {name: value if value is not None and math.isfinite(value) else None for name, value in known.items()}
 
 
 def encode_scores(scores: TrialScores | None) -> bytes:

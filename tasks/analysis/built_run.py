@@ -15,13 +15,12 @@ from tasks.arrays import Float64
 from tasks.design import N_LINKS, Designs, rest_pose
 from tasks.simulation import OK, simulate
 from tasks.simulation.box2d import Column
-from tasks.world import EnsembleMedium, Environment, Physics, ResidualSlush
+from tasks.world import Environment, Physics
 
 _FREQUENCIES = np.linspace(0.5, 2.0, 151)  # shares of the gait's that are tried
 _MOST_OFF = 0.1  # share by which the frequency of a gait, or a distance of links, may differ
 _LEAST_FRAMES = 3  # in which a gait can be seen
 _LEAST_SWING = 0.5  # share of the joints' motion that a gait must explain
-_CLEARLY = 0.5  # share of the misfit that a start before the video may have
 _LEAST_FOLLOWED = 0.25  # share of the joints' angles that the timeline must explain; servos are mounted a tooth off
 _DEVIATIONS = 2.0  # of the ensemble, that its interval has to either side
 
@@ -50,8 +49,8 @@ class BuiltRobot:
     environment: Environment
     physics: Physics
     n_settle: int  # steps of a rollout before displacement is measured
-    n_measure: int  # steps over which it is measured
-    predicted: Float64 | None  # (n_members,) displacements of the root in a rollout [m of simulation]
+    predicted: Float64 | None  # (n_members,) speeds of the root under an ensemble [m/s of the bench]
+    predicted_by: str = "the kit's ensemble"
 
     @property
     def frequency(self) -> float:
@@ -81,26 +80,19 @@ class RobotMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class RunPredictor:
-    """A study's ensemble, which predicts a run of the robot."""
-
-    study: str
-    ensemble: EnsembleMedium
-    physics: Physics  # of the study's robots; that of the built robot may differ
-
-
-@dataclass(frozen=True, eq=False)
 class RunComparison:
-    """A run, its simulation and its prediction."""
+    """A run and its simulation."""
 
     robot: BuiltRobot
     measured: RobotMotion
     simulated: RobotMotion
     lags: Float64  # (2, n_joints) measured and simulated, behind the command [rad]
     start_known: bool  # whether lags are absolute; if not, they are relative to the mean over the joints
-    prediction: SpeedPrediction | None
-    predictor: RunPredictor | None  # whose ensemble that is; None for the one that the kit records
-    members: Float64 | None  # (n_members, n_frames) x of each member's root at ``simulated.time`` [m]
+
+    @property
+    def prediction(self) -> SpeedPrediction | None:
+        """Mean speed over the members, with two of their deviations to either side."""
+        return None if self.robot.predicted is None else speed_prediction(self.robot.predicted)
 
     @property
     def same_way(self) -> bool:
@@ -108,19 +100,13 @@ class RunComparison:
         return self.measured.speed * self.simulated.speed > 0
 
 
-def compare_with_simulation(
-    robot: BuiltRobot, paths: Mapping[int, LinkPath], *, start: float | None, predictor: RunPredictor | None
-) -> RunComparison:
-    """Compare a run with its simulation, and with what an ensemble predicts of it.
+def compare_with_simulation(robot: BuiltRobot, paths: Mapping[int, LinkPath], *, start: float | None) -> RunComparison:
+    """Compare the steady part of a run with its simulation.
 
     Args:
         robot: the robot.
         paths: path of each link that was tracked.
         start: when the servos' timeline began, on the clock of the paths [s]; None if the joints must tell.
-        predictor: a study's ensemble; None for the prediction that the robot's kit records, if it does.
-
-    Returns:
-        The steady parts of the run and of its simulation, and the prediction for that time.
 
     Raises:
         RunError: the run is not of this robot or too short, or its simulation diverged.
@@ -134,39 +120,19 @@ def compare_with_simulation(
     }
     check_robot(robot.design, {link: pose[:, :2] for link, pose in poses.items()}, robot.scale)
     angle = joint_angles(robot.design, robot.joints, {link: pose[:, 2] for link, pose in poses.items()})
-    if start is None:
-        check_frequency(time, angle, robot.frequency)  # first, because a start is found in any gait of this frequency
-    began = start_of_run(time, angle, robot.commanded_time, robot.commanded) if start is None else start
+    if start is not None:
+        return RunComparison(robot, *_beside_simulation(robot, time - start, root, angle), start_known=True)
+    check_frequency(time, angle, robot.frequency)  # first, because a start is found in any gait of this frequency
+    began = start_of_run(time, angle, robot.commanded_time, robot.commanded)
+    _, _, lags = _beside_simulation(robot, time - began, root, angle)
+    shared = lags.mean(axis=1)  # what all joints share is not known: let it be the simulation's
+    began -= (shared[1] - shared[0]) / (2 * np.pi * robot.frequency)
     measured, simulated, lags = _beside_simulation(robot, time - began, root, angle)
-    if start is None:  # what all joints share is not known: let it be the simulation's
-        shared = lags.mean(axis=1)
-        began -= (shared[1] - shared[0]) / (2 * np.pi * robot.frequency)
-        measured, simulated, lags = _beside_simulation(robot, time - began, root, angle)
-        lags = lags - lags.mean(axis=1, keepdims=True)
-    members, prediction = None, None
-    if predictor is not None:
-        environment = ResidualSlush(depth=robot.environment.depth, ensemble=predictor.ensemble)
-        where = f"under the ensemble of study {predictor.study}"
-        _, members = _simulated(robot, environment, predictor.physics, measured, where)
-        speeds = [steady_speed(simulated.time, x, 1 / robot.frequency) for x in members]
-        prediction = speed_prediction(np.array(speeds))
-    elif robot.predicted is not None:
-        seconds = robot.n_measure * robot.physics.time_step * robot.time_scale
-        prediction = speed_prediction(robot.predicted * robot.scale / seconds)
-    return RunComparison(robot, measured, simulated, lags, start is not None, prediction, predictor, members)
+    return RunComparison(robot, measured, simulated, lags - lags.mean(axis=1, keepdims=True), start_known=False)
 
 
 def fit_gait(time: Float64, angle: Float64, frequency: float) -> Gait:
-    """Fit a joint's oscillation.
-
-    Args:
-        time: (n_frames,) [s].
-        angle: (n_frames,) [rad].
-        frequency: of the gait [Hz].
-
-    Returns:
-        The oscillation.
-    """
+    """Fit the oscillation of (n_frames,) angles [rad] of a joint at the gait's frequency [Hz]."""
     turn = 2 * np.pi * frequency * time
     columns = np.stack((np.sin(turn), np.cos(turn), np.ones_like(turn)), axis=1)
     (a, b, c), *_ = np.linalg.lstsq(columns, angle, rcond=None)
@@ -201,16 +167,7 @@ def joint_angles(design: Designs, joints: tuple[int, ...], angle: Mapping[int, F
 
 
 def check_robot(design: Designs, position: Mapping[int, Float64], scale: float) -> None:
-    """Check that links that are one part stay as far apart as they are at rest.
-
-    Args:
-        design: one design.
-        position: (n_frames, 2) positions of links [m].
-        scale: bench metres per simulated metre.
-
-    Raises:
-        RunError: they do not.
-    """
+    """Check that links of one part, at (n_frames, 2) positions [m], are as far apart as at rest; raise RunError."""
     body, (x, y, _) = _bodies(design), rest_pose(design)
     links = sorted(position)
     for i, first in enumerate(links):
@@ -236,16 +193,7 @@ def _bodies(design: Designs) -> list[int]:
 
 
 def check_frequency(time: Float64, angle: Float64, frequency: float) -> None:
-    """Check that joints oscillate at the frequency of a gait.
-
-    Args:
-        time: (n_frames,) [s].
-        angle: (n_frames, n_joints) [rad].
-        frequency: expected [Hz].
-
-    Raises:
-        RunError: they do not, or do not swing at all.
-    """
+    """Check that (n_frames, n_joints) angles [rad] oscillate at the frequency of a gait [Hz]; raise RunError."""
     if len(time) < _LEAST_FRAMES:
         raise RunError(f"it is seen in {len(time)} frame{'s' * (len(time) != 1)}, expected at least {_LEAST_FRAMES}")
     variance = np.maximum(angle.var(axis=0), 1e-12)
@@ -268,9 +216,9 @@ def check_frequency(time: Float64, angle: Float64, frequency: float) -> None:
 
 
 def start_of_run(time: Float64, angle: Float64, commanded_time: Float64, commanded: Float64) -> float:
-    """Return the time at which a timeline began [s], as the joints' angles show it.
+    """Return the time in the video at which a timeline began [s], as the joints' angles show it.
 
-    It is in the video, unless an earlier one fits clearly better. The command is scaled to the range through which each
+    The command is scaled to the range through which each
     joint swings: a weak servo does not reach its command, and the closest shift would be the one that commands nothing.
 
     Args:
@@ -289,18 +237,14 @@ def start_of_run(time: Float64, angle: Float64, commanded_time: Float64, command
         columns = [np.interp(time - start, commanded_time, column, left=0.0, right=0.0) for column in scaled.T]
         return float(np.square(angle - np.stack(columns, axis=1)).mean())
 
-    coarse = np.arange(time[0] - commanded_time[-1], time[-1], 0.04)
-    misfits = np.array([misfit(start) for start in coarse])
-    filmed = np.where(coarse >= time[0], misfits, np.inf)
-    best = float(coarse[int(np.argmin(misfits if misfits.min() < _CLEARLY * filmed.min() else filmed))])
-    fine = best + np.linspace(-0.04, 0.04, 41)
-    best = float(fine[int(np.argmin([misfit(start) for start in fine]))])
+    best = min(np.arange(time[0], time[-1], 0.04).tolist(), key=misfit)
+    best = min((best + np.linspace(-0.04, 0.04, 41)).tolist(), key=misfit)
     if misfit(best) > (1 - _LEAST_FOLLOWED) * float(np.square(angle).mean()):
         raise RunError(
             "its joints do not follow the kit's timeline wherever it may begin: film the run from before the servos "
             "start, check that this is its kit, or give --start"
         )
-    return best
+    return float(best)
 
 
 def speed_prediction(predictions: Float64) -> SpeedPrediction:
@@ -311,11 +255,6 @@ def speed_prediction(predictions: Float64) -> SpeedPrediction:
 
 def steady_speed(time: Float64, x: Float64, period: float) -> float:
     """Return a mean speed without the swing of the gait: between the means of x over the first and last period.
-
-    Args:
-        time: (n_frames,) [s].
-        x: (n_frames,) [m].
-        period: of the gait [s].
 
     Raises:
         RunError: the run is shorter than two periods.
@@ -334,11 +273,7 @@ def _beside_simulation(
 ) -> tuple[RobotMotion, RobotMotion, Float64]:
     """Return the steady part of a run, as long a one of its simulation, and the lags of both.
 
-    Args:
-        robot: the robot.
-        time: (n_frames,) since the timeline began [s].
-        root: (n_frames, 3) poses of the root.
-        angle: (n_frames, n_joints) of the joints from rest [rad].
+    Time is since the timeline began [s], the root's poses are (n_frames, 3).
     """
     end = float(robot.commanded_time[-1])
     ramp = min(robot.ramp, end / 2)
@@ -350,7 +285,7 @@ def _beside_simulation(
         )
     check_frequency(time[steady], angle[steady], robot.frequency)
     measured = _motion(time[steady], root[steady, :2], angle[steady], robot)
-    simulated, _ = _simulated(robot, robot.environment, robot.physics, measured, "in True Slush")
+    simulated = _simulated(robot, measured)
     commanded = robot.design.phase[0, list(robot.joints)]
     lags = np.array(
         [[at - gait.phase for at, gait in zip(commanded, run.gaits, strict=True)] for run in (measured, simulated)]
@@ -364,26 +299,18 @@ def _motion(time: Float64, position: Float64, angle: Float64, robot: BuiltRobot)
     return RobotMotion(time, position[:, 0] - position[0, 0], position[:, 1], angle, speed, gaits)
 
 
-def _simulated(
-    robot: BuiltRobot, environment: Environment, physics: Physics, measured: RobotMotion, where: str
-) -> tuple[RobotMotion, Float64]:
-    """Simulate as long a run after settling, from the same phase of the gait on.
-
-    Returns the first member's, and (n_members, n_steps) x of all [m].
-    """
-    step = physics.time_step * robot.time_scale
+def _simulated(robot: BuiltRobot, measured: RobotMotion) -> RobotMotion:
+    """Simulate as long a run after settling, from the same phase of the gait on."""
+    step = robot.physics.time_step * robot.time_scale
     n_steps = int(np.ceil((measured.time[-1] - measured.time[0]) / step)) + 1
-    period = 1 / robot.frequency
     n_settle = robot.n_settle
-    n_settle += round(((measured.time[0] - step * (n_settle + 1)) % period) / step)
-    rollouts = simulate(robot.design, environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=physics)
+    n_settle += round(((measured.time[0] - step * (n_settle + 1)) % (1 / robot.frequency)) / step)
+    rollouts = simulate(
+        robot.design, robot.environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=robot.physics
+    )
     if rollouts.trace is None or not (rollouts.status == OK).all():
-        raise RunError(f"its simulation {where} diverged, so there is nothing to compare with")
-    trace = rollouts.trace.reshape(-1, *rollouts.trace.shape[-3:])[:, n_settle:].astype(np.float64)
+        raise RunError("its simulation in True Slush diverged, so there is nothing to compare with")
+    trace = rollouts.trace[0, n_settle:].astype(np.float64)
     time = np.asarray(step * (n_settle + 1 + np.arange(n_steps)), dtype=np.float64)
-    angles = {link: trace[0, :, link, Column.ANGLE] for link in range(N_LINKS)}
-    angle = joint_angles(robot.design, robot.joints, angles)
-    root = robot.scale * trace[:, :, 0, : Column.Y + 1]
-    motion = _motion(time, root[0], angle, robot)
-    x = root[:, :, Column.X]
-    return motion, x - x[:, :1]
+    angle = joint_angles(robot.design, robot.joints, {link: trace[:, link, Column.ANGLE] for link in range(N_LINKS)})
+    return _motion(time, robot.scale * trace[:, 0, : Column.Y + 1], angle, robot)

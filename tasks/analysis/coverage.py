@@ -10,16 +10,17 @@ the component that separates it most from its nearest neighbour, so that a hole 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.random import Generator
 
 from tasks.arrays import Float32, Float64, Floats
 from tasks.design import Designs
 from tasks.residual import OBSERVATION, observe
-from tasks.residual.support import distances
 from tasks.simulation.rollout import Rollouts
 
-MOST_STATES = 10_000  # states that are compared; shares are then known to half a percent
+_MOST_STATES = 10_000  # states that are compared; shares are then known to half a percent
 _EVERY = 20  # steps between two states of a robot that are compared
+_LEAST_DEVIATION = 1e-6  # of a component that does not vary
 EVERYTHING = "all"
 
 
@@ -36,21 +37,8 @@ class CoverageRow:
     far: float  # 95th percentile of the distance
 
 
-def observed_states(
-    designs: Designs, rollouts: Rollouts, *, n_settle: int, rng: Generator, n_most: int = MOST_STATES
-) -> Float32:
-    """Return (n_states, 6) observations of links along rollouts that settled, at most n_most of them.
-
-    Args:
-        designs: n_designs designs.
-        rollouts: with traces, of all members of an ensemble or of none.
-        n_settle: steps of settling, which are left out.
-        rng: source of randomness, which selects the states.
-        n_most: greatest number of states.
-
-    Returns:
-        Observations in the order of OBSERVATION.
-    """
+def observed_states(designs: Designs, rollouts: Rollouts, *, n_settle: int, rng: Generator) -> Float32:
+    """Return (n_states, 6) finite observations of links, a random choice, from rollouts with traces after settling."""
     assert rollouts.trace is not None
     trace = rollouts.trace.reshape(-1, *rollouts.trace.shape[-4:])[:, :, n_settle::_EVERY]
     length_scale = np.broadcast_to(designs.length_scale[None, :, None, :], trace.shape[:-1])
@@ -58,7 +46,13 @@ def observed_states(
     rows = observe({"length_scale": length_scale, "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega})
     rows = rows.reshape(-1, len(OBSERVATION))
     rows = rows[np.isfinite(rows).all(axis=1)]
-    return rows[np.sort(rng.permutation(len(rows))[:n_most])]
+    return rows[np.sort(rng.permutation(len(rows))[:_MOST_STATES])]
+
+
+def deviations(robots: Floats) -> Float64:
+    """Return the deviation of each component over (n_states, 6) observations of robots' links: (6,)."""
+    scale: Float64 = np.maximum(robots.std(axis=0, dtype=np.float64), _LEAST_DEVIATION)
+    return scale
 
 
 def coverage(robots: Floats, throws: Floats, scale: Float64) -> tuple[CoverageRow, ...]:
@@ -67,20 +61,21 @@ def coverage(robots: Floats, throws: Floats, scale: Float64) -> tuple[CoverageRo
     Args:
         robots: (n_states, 6) finite observations of robots' links.
         throws: (n_transitions, 6) finite observations of thrown links.
-        scale: (6,) unit of each component, from :func:`tasks.residual.support.deviations`.
-
-    Returns:
-        The row of all components, and one row for each in the order of OBSERVATION.
+        scale: (6,) unit of each component, from :func:`deviations`.
 
     Raises:
         ValueError: there are no states of one of them.
     """
-    found = distances(robots, throws, scale)
-    outside = found.distance > 1
-    n, median, far = len(robots), float(np.median(found.distance)), float(np.quantile(found.distance, 0.95))
+    if min(len(robots), len(throws)) == 0:
+        raise ValueError(f"{len(robots)} states of robots and {len(throws)} of throws, expected at least 1 of both")
+    points, thrown = robots / scale, throws / scale
+    distance, nearest = scipy.spatial.cKDTree(thrown).query(points)
+    component = np.abs(points - thrown[nearest]).argmax(axis=1)
+    outside = distance > 1
+    n, median, far = len(robots), float(np.median(distance)), float(np.quantile(distance, 0.95))
     rows = [CoverageRow(EVERYTHING, n, float(outside.mean()), np.nan, np.nan, median, far)]
     for k, name in enumerate(OBSERVATION):
-        because = outside & (found.component == k)
+        because = outside & (component == k)
         low, high = np.quantile(robots[because, k], (0.05, 0.95)) if because.any() else (np.nan, np.nan)
         rows.append(CoverageRow(name, n, float(because.mean()), float(low), float(high), median, far))
     return tuple(rows)

@@ -4,9 +4,9 @@ Intervals of means and differences are Student's or Welch's, and those of ratios
 over whole trials, widened for small samples to the quantiles of Student's t (Hesterberg 2015).
 
 A study with several replicates has as many independent data sets and ensembles, and each trial uses one of them. Trial
-j of replicate i has the value y_ij = μ + a_i + e_ij: a_i is due to throws and training, which change together, and e_ij
-to evolution. SciPy has no interval of a mean for that, so the code is here. Of N trials in R replicates, n_i in each,
-MSB and MSW are the mean squares between and within. By the method of moments (Searle, Casella & McCulloch 1992, ch. 3)
+j of replicate i has the value y_ij = μ + a_i + e_ij: a_i is due to throws and training, e_ij to evolution. SciPy has no
+interval of a mean for that, so the code is here. Of N trials in R replicates, n_i in each, MSB and MSW are the mean
+squares between and within. By the method of moments (Searle, Casella & McCulloch 1992, ch. 3)
 
     σ_a² = (MSB - MSW) / n0,    σ_e² = MSW,    var ȳ = (k σ_a² + σ_e²) / N
     with k = Σ n_i² / N and n0 = (N - k) / (R - 1)
@@ -50,10 +50,6 @@ class Estimate:
     def interval(self) -> tuple[float, float] | None:
         """Both ends, if there is an interval."""
         return None if self.low is None or self.high is None else (self.low, self.high)
-
-    def shifted(self, by: float) -> Estimate:
-        """Return the estimate of the figure plus a constant."""
-        return Estimate(*(None if end is None else end + by for end in (self.value, self.low, self.high)))
 
 
 MISSING = Estimate(None)
@@ -128,10 +124,8 @@ class Error:
 class Components:
     """The variances of a group of two or more trials; NaN where replicates can't tell them apart."""
 
-    n_per_replicate: float  # n0 of this module's page
     between: float  # σ_a²
     within: float  # σ_e²
-    f: float  # MSB / MSW
     error: Error  # of the mean over all trials
 
     def of_one_replicate(self, n: int, n_replicates: int) -> float:
@@ -161,19 +155,18 @@ def components(sample: Sample) -> Components:
     n_replicates, pooled = len(sizes), float(y.var(ddof=1))
     independent = Error(pooled / n, n - 1)
     if n_replicates == 1:
-        return Components(n, math.nan, pooled, math.nan, independent)
+        return Components(math.nan, pooled, independent)
     if n_replicates == n:
-        return Components(1, math.nan, math.nan, math.nan, independent)
+        return Components(math.nan, math.nan, independent)
     means, (msw, freedom_within) = np.bincount(own, y) / sizes, within_replicates(sample)
     msb = float(sizes @ (means - y.mean()) ** 2) / (n_replicates - 1)
     k = float(sizes @ sizes) / n
     n0 = (n - k) / (n_replicates - 1)
-    f = msb / msw if msw > 0 else math.inf
     if msb <= msw:
-        return Components(n0, 0.0, pooled, f, independent)
+        return Components(0.0, pooled, independent)
     parts = msb * k / n0, msw * (1 - k / n0)  # their sum is N var ȳ; the second is 0 in balanced groups
     freedom = sum(parts) ** 2 / (parts[0] ** 2 / (n_replicates - 1) + parts[1] ** 2 / freedom_within)
-    return Components(n0, (msb - msw) / n0, msw, f, Error(sum(parts) / n, freedom))
+    return Components((msb - msw) / n0, msw, Error(sum(parts) / n, freedom))
 
 
 def error_of(*samples: Sample) -> Error:
@@ -215,7 +208,8 @@ def ratio(part: Sample, whole: Sample, *, rng: Generator) -> Estimate:
     reference = sum_of_means(whole)
     if reference.low is None or reference.low <= 0:
         return Estimate(value)
-    return replace(sum_of_means(*linearised(part, whole)).shifted(value), value=value)
+    ends = sum_of_means(*linearised(part, whole)).interval
+    return Estimate(value, *(() if ends is None else (value + end for end in ends)))
 
 
 def linearised(part: Sample, whole: Sample) -> tuple[Sample, Sample]:

@@ -54,8 +54,10 @@ def size(accelerations: Floats, links: LinkStates) -> Float64:
     return np.asarray(np.sqrt(ax * ax + ay * ay + alpha * alpha * (links.inertia / links.mass)), dtype=np.float64)
 
 
-def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, physics: Physics) -> Float32:
-    """Return how the members disagree along rollouts, in whichever environment these were made.
+def predicted_accelerations(
+    designs: Designs, trace: Floats, ensemble: EnsembleMedium, physics: Physics
+) -> tuple[Float64, LinkStates]:
+    """Return what each member predicts along rollouts, and the links' states.
 
     Args:
         designs: n_designs designs.
@@ -64,11 +66,18 @@ def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, phys
         physics: the base simulator's constants.
 
     Returns:
-        (n_designs, n_steps, n_links) deviation over members, by :func:`size` [m/s²]; NaN with a single member.
+        (n_members, n_designs, n_steps, n_links, 3) accelerations, and link states without the first axis.
     """
-    if ensemble.n_members == 1:
-        return np.full(trace.shape[:-1], np.nan, np.float32)
     links = link_states(designs, trace, physics)
     repeated = (np.broadcast_to(array, (ensemble.n_members, *array.shape)) for array in vars(links).values())
-    predicted = acceleration(ensemble, LinkStates(*repeated), physics)
+    return acceleration(ensemble, LinkStates(*repeated), physics), links
+
+
+def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, physics: Physics) -> Float32:
+    """Return how the members disagree along rollouts, in whichever environment these were made.
+
+    Arguments are those of :func:`predicted_accelerations`. Returns (n_designs, n_steps, n_links) deviations over two or
+    more members, by :func:`size` [m/s²].
+    """
+    predicted, links = predicted_accelerations(designs, trace, ensemble, physics)
     return size(predicted.std(axis=0).astype(np.float32), links).astype(np.float32)

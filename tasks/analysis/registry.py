@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from tasks.arrays import Float64, Int64
     from tasks.design import Designs
     from tasks.evolution import Deviation
-    from tasks.residual import Transitions
     from tasks.simulation import Rollouts
     from tasks.world import EnsembleMedium, Environment, Physics
 
@@ -104,36 +103,24 @@ class Assessed:
     replicate: Int64  # (n_designs,)
 
 
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """Settings of a study that analyses use."""
+
+    assessed_depth: float  # depth at which designs are assessed [m]
+    throw_groups: Sequence[str]  # settings groups of throws that ensembles learned from, the main one first
+    deviation: Deviation  # what σ over members is
+    tank: Tank | None  # the virtual tank, if the study has one
+    physics: Physics  # constants of the base simulator
+    n_settle: int  # steps of a rollout before displacement is measured
+
+
 class StudyData(Protocol):
     """What an analysis may use: settings, and the results of the stages that it reads, for the trials of its item."""
 
     @property
-    def depths(self) -> Sequence[float]:
-        """Depths of the grid [m]."""
-
-    @property
-    def assessed_depth(self) -> float:
-        """Depth at which designs are assessed [m]."""
-
-    @property
-    def throw_groups(self) -> Sequence[str]:
-        """Settings groups of throws that ensembles learned from, the main one first."""
-
-    @property
-    def deviation(self) -> Deviation:
-        """What σ over members is."""
-
-    @property
-    def tank(self) -> Tank | None:
-        """The virtual tank, if the study has one."""
-
-    @property
-    def physics(self) -> Physics:
-        """Constants of the base simulator."""
-
-    @property
-    def n_settle(self) -> int:
-        """Steps of a rollout before displacement is measured."""
+    def settings(self) -> AnalysisSettings:
+        """Settings of the study."""
 
     @property
     def trials(self) -> Sequence[ScoredTrial]:
@@ -149,17 +136,8 @@ class StudyData(Protocol):
     def true_slush(self, depth: float) -> Environment:
         """Return True Slush at a depth [m]."""
 
-    def home(self, champion: Champion) -> Environment:
-        """Return where a champion evolved; the same object for champions that share it."""
-
-    def member(self, champion: Champion) -> int:
-        """Return the number of the network that a champion evolved in; -1 if that was none, or an ensemble."""
-
     def ensemble(self, champion: Champion | None = None) -> EnsembleMedium:
         """Return the ensemble that serves a champion, by default the main one; the same object for all it serves."""
-
-    def throws(self, champion: Champion | None = None) -> tuple[Transitions, Transitions]:
-        """Return the throws that this ensemble learned from, and those that were held out."""
 
     def simulate(
         self,

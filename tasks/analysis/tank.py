@@ -1,24 +1,18 @@
 """The virtual tank: whether a robot, once built, would cross it. Paper, "Manufacturing" and "Physical Validation".
 
 The paper put its robot at one end of a tank of gel beads and water and waited until it reached the other end or 150 s
-had passed. It then drained the tank and repeated the test on the dry floor. Here the tank is scaled to the simulated
-robot: lengths by the scale of the build, times by Froude's law. At 70 mm per metre, 150 s are 567 s of simulation.
+had passed, then drained the tank and repeated the test on the dry floor: 8 times in slush, 6 times on the floor. Here
+the tank is scaled to the simulated robot: lengths by the scale of the build, times by Froude's law, the only one that
+keeps weight, buoyancy, drag and inertia in proportion. At 70 mm per metre, 150 s are 567 s of simulation. The paper
+does not state its scale of times; the speed of its servos suggests the simulation's frequencies, which are counted too.
 
-The paper states the scale of lengths but not of times, and compares whether a robot crosses, not how fast. Froude's law
-is our choice, and the kit's default (tasks/fabrication/scaling.py). Under the same gravity it is the only law that
-keeps weight, buoyancy, drag and inertia in proportion, so only under it does the simulation predict times in the tank.
-The speed of the paper's servos suggests that it kept the simulation's frequencies instead: then a simulated second is
-one second in the tank, and the same robot has 150 s of the simulation and not 567 s.
+A simulation repeats itself exactly, so each further trial starts at another moment of the gait, with its joints shifted
+by less than printing can hold. The simulated tank has no walls: whether a robot fits follows from its size, and two
+pontoons make it as wide as they are apart.
 
-The paper repeats each test, 8 times in slush and 6 times on the dry floor. A simulation repeats itself exactly, so each
-further trial here starts at another moment of the gait, with its joints shifted by less than printing can hold.
-
-The simulated tank has no walls: whether a robot fits between them follows from its size. Two pontoons make it as wide
-as they are apart, whatever its design; the paper's 0.325 m just fit into 0.33 m.
-
-The paper's robot did not move on the dry floor, "due to insufficient torque". A servo's torque at scale is not the
-simulation's limit, so the dry floor is tried with both. Torque scales as weight times length, by either law: as built,
-1.96 N·m hold up as much of a robot of 1.18 kg at 70 mm per metre as 143 N·m do in the simulation.
+The paper's robot did not move on the dry floor, "due to insufficient torque". So the dry floor is tried with the
+simulation's limit and with the servo's torque, which scales as weight times length: as built, 1.96 N·m hold up as much
+of a robot of 1.18 kg at 70 mm per metre as 143 N·m do in the simulation.
 """
 
 from collections.abc import Sequence
@@ -135,12 +129,7 @@ class TankTrials:
 def restarted(design: Designs, n: int, rng: Generator) -> Designs:
     """Return a robot n times, to be tried again: first as it is, then begun at random moments of its gait.
 
-    Joints are also shifted by 1e-4 of half a link, less than printing can hold.
-
-    Args:
-        design: a single design.
-        n: number of trials, at least 1.
-        rng: source of randomness.
+    Every attachment is also moved up or down, or inwards at a gene's bound.
     """
     begun = [
         replace(again, phase=(again.phase + rng.uniform(0.0, 2 * np.pi)) % (2 * np.pi))

@@ -28,7 +28,8 @@ def study_of(zero_shot, **others):
     """Return what an analysis of scores reads of a study."""
     trials = trials_of(zero_shot, **others)
     rng = lambda *identity: np.random.default_rng(0)  # noqa: E731
-    return SimpleNamespace(trials=trials, rng=rng, throw_groups=(), assessed_depth=9.0)
+    settings = SimpleNamespace(throw_groups=(), assessed_depth=9.0, deviation="population")
+    return SimpleNamespace(trials=trials, rng=rng, settings=settings)
 
 
 def spread(mean, sd, n):

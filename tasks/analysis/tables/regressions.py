@@ -81,14 +81,14 @@ def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
 )
 def regressions(study: StudyData) -> list[Regression]:
     """Assess the ensembles of all groups of throws."""
-    found = (accuracy_of(study, group) for group in study.throw_groups)
+    found = (accuracy_of(study, group) for group in study.settings.throw_groups)
     return [row for one in found if one is not None for row in one.regressions]
 
 
 def accuracy_of(study: StudyData, group: str) -> Accuracy | None:
     """Assess the ensemble that learned from a group of throws, if any design was."""
-    assessed = study.assessed(group)
-    return None if assessed is None else accuracy(assessed, group, study.deviation, study.rng("accuracy", group))
+    assessed, rng = study.assessed(group), study.rng("accuracy", group)
+    return None if assessed is None else accuracy(assessed, group, study.settings.deviation, rng)
 
 
 def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64]:

@@ -61,7 +61,7 @@ def _metrics(rows: Sequence[TankRow]) -> dict[str, float | None]:
 )
 def tank(study: StudyData) -> list[TankRow]:
     """Simulate the champions of one arm on Dry Land and in the tank, and propose one of them for building."""
-    champions, tank, physics = study.champions, study.tank, study.physics
+    champions, tank, physics = study.champions, study.settings.tank, study.settings.physics
     if tank is None or not champions:
         return []
     chosen = nearest_the_mean(np.array([champion.zero_shot for champion in champions]))
@@ -100,7 +100,7 @@ def _in_tank(study: StudyData, tank: Tank, at: Environment, under: Physics, trie
     for first in range(0, len(tries), _TRIALS_AT_ONCE):
         designs = tries[first : first + _TRIALS_AT_ONCE]
         rollouts = study.simulate(at, designs, trace=True, physics=under, n_measure=n_steps)
-        found += crossings(designs, rollouts, tank, n_settle=study.n_settle, time_step=under.time_step)
+        found += crossings(designs, rollouts, tank, n_settle=study.settings.n_settle, time_step=under.time_step)
     return found
 
 

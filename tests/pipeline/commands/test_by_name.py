@@ -79,7 +79,7 @@ def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
     assert not Path(nowhere).exists()
 
 
-@pytest.mark.parametrize("command", ["study", "train", "simulate", "verify"])
+@pytest.mark.parametrize("command", ["study", "simulate"])
 @pytest.mark.parametrize(
     "chosen",
     [
@@ -92,12 +92,3 @@ def test_two_sources_of_settings_are_refused(command, chosen, capsys):
     design = ["docs/design.json", "--environment", "dry_land", "--depth", "1"] if command == "simulate" else []
     said = refused(capsys, command, *design, *chosen)
     assert "expected only one of a study's name, --preset and --settings, got " in said
-
-
-def test_a_kit_takes_a_study_by_its_name(store, tmp_path, capsys):
-    said = refused(capsys, "fabricate", "--study", "tin", "--store", str(store.root), "--out", str(tmp_path / "kit"))
-    assert f"study 'tin': {store.root} holds tiny; did you mean tiny?" in said
-    (tmp_path / "bad.json").write_text("{")
-    chosen = ("--out", str(tmp_path / "kit"), "--store", str(tmp_path / "new"))
-    assert "bad.json" in refused(capsys, "fabricate", str(tmp_path / "bad.json"), *chosen)
-    assert not (tmp_path / "new").exists() and not (tmp_path / "kit").exists()

@@ -49,24 +49,13 @@ def test_the_program_is_named_as_it_is_found_from_the_working_folder(tmp_path, m
     assert program() == "puddle"
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("status", "--preset", "smoke"),
-        ("study", "--preset", "smoke", "--workers", "0"),
-        ("doctor", "--preset", "smoke", "--workers", "0"),
-        ("verify",),
-        ("ui",),
-        ("export", "tiny", "--out", "out"),
-    ],
-    ids=lambda command: command[0],
-)
 @pytest.mark.parametrize("place", ["circle/store", "~no-such-user/store", "too/" * 1500 + "store"])
-def test_a_store_at_a_path_that_cannot_be_followed(command, place, tmp_path, monkeypatch, capsys):
+def test_a_store_at_a_path_that_cannot_be_followed(place, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("circle").symlink_to("other")
     Path("other").symlink_to("circle")
-    assert call(*command, "--store", place) == (1 if command[0] == "doctor" else 2)
-    said = capsys.readouterr()
-    assert place[-40:] in "".join((said.out + said.err).split("\n")) and "Traceback" not in said.err
+    for command in (("status", "--preset", "smoke"), ("doctor", "--preset", "smoke", "--workers", "0"), ("ui",)):
+        assert call(*command, "--store", place) == (1 if command[0] == "doctor" else 2)
+        said = capsys.readouterr()
+        assert place[-40:] in "".join((said.out + said.err).split("\n")) and "Traceback" not in said.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "other"]

@@ -68,14 +68,14 @@ def test_studies_are_listed(store, capsys):
     said = capsys.readouterr().out
     assert said.startswith(f"3 studies in {store.root} (")
     assert f"broken: {path}" in said and "tiny: done\n" in said and f"settings from {record.source}" in said
-    assert "longer: stage 4 of 8: evolve, 0 of 4 items" in said and "preset smoke, changed: " in said
+    assert "longer: stage 4 of 8: evolve, 0 of 4 items" in said and "from preset smoke, changed: " in said
     assert "1 chains failed; `" in said and "puddle status longer` names them" in said
     assert (store.export_path("tiny") / "index.html").as_uri() in said
     assert call("studies", "--json", "--store", str(store.root)) == 0
     broken, longer, tiny = json.loads(capsys.readouterr().out)["studies"]
     assert broken["problem"] and not broken["done"]
     assert tiny["done"] and tiny["changed"] and tiny["page"].startswith("file:///")
-    assert longer["preset"] == "smoke" and "seed: 1 → 7" in longer["differences"] and longer["n_failed"] == 1
+    assert longer["source"] == "preset smoke" and "seed: 1 → 7" in longer["differences"] and longer["n_failed"] == 1
 
 
 def test_a_store_without_studies_and_no_store(tmp_path, capsys):

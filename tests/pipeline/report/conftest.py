@@ -13,13 +13,10 @@ from pipeline.config.settings import Settings
 from pipeline.report.network_figures import ThrowPaths
 from pipeline.report.page import StudyPage, draw_all
 from pipeline.report.replay import Replay, replay_of
-from tasks.analysis.coverage import EVERYTHING, CoverageRow
 from tasks.analysis.registry import Assessed
 from tasks.analysis.tables import ANALYSES
-from tasks.analysis.tables.champion_coverage import ChampionCoverage
 from tasks.analysis.tables.exploiters import Exploiter
 from tasks.design import random_designs
-from tasks.residual import OBSERVATION
 from tasks.simulation import simulate
 from tasks.world import DryLand, TrueSlush
 
@@ -86,13 +83,7 @@ ZERO_SHOT = {
 }
 ADAPTED = {("dry_land", 9.0): [4.0, 8.0], ("residual_slush", 9.0): [11.0, 11.0], ("dry_land", 1.0): [21.0]}
 PREDICTED = {("residual_slush", 9.0): [7.0, 6.0], ("single_member", 9.0): [20.0]}
-OF_SCORES = ("scores", "transfer", "contrasts", "variance", "paper")
-
-
-def covered(share: float) -> list[CoverageRow]:
-    """Shares of 1 to 6 times the given one for the components, which make 21 times in all."""
-    rows = [CoverageRow(name, 1000, (k + 1) * share, -1.0, 1.0, 0.6, 1.2) for k, name in enumerate(OBSERVATION)]
-    return [CoverageRow(EVERYTHING, 1000, 21 * share, np.nan, np.nan, 0.6, 1.2), *rows]
+OF_SCORES = ("scores", "transfer", "contrasts", "paper")
 
 
 @pytest.fixture(scope="session")
@@ -102,21 +93,17 @@ def study(slush_replay, dry_replay, predicted_replay) -> StudyPage:
     true = rng.normal(3.0, 3.0, 300)
     predicted, trial = 0.6 * true + rng.normal(0.0, 2.0, (4, 300)), [f"{k % 5}" for k in range(300)]
     data = study_of(ZERO_SHOT, adapted=ADAPTED, predicted=PREDICTED)
-    data.throw_groups, data.deviation = ("throws", "designed_throws"), "sample"
+    data.settings.throw_groups, data.settings.deviation = ("throws", "designed_throws"), "sample"
     assessed = {
         group: Assessed(k + predicted, true, trial, np.zeros(300, np.int64))
-        for k, group in enumerate(data.throw_groups)
+        for k, group in enumerate(data.settings.throw_groups)
     }
     data.assessed = assessed.get
     tables = {name: ANALYSES[name].compute(data) for name in (*OF_SCORES, "regressions")}
     tables["exploiters"] = [Exploiter(1, "residual_slush", 9.0, 0, 7.0, 1.0, 6.0, 2.5)]
-    tables["champion_coverage"] = [
-        ChampionCoverage("residual_slush", 9.0, k, EVERYTHING, 1000, 0.1 * k, None, None, 0.6, 1.2) for k in range(2)
-    ]
     time = np.linspace(0.0, 3.3, 60)
     start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))
     paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)
-    by_robots = {seen_in: covered(share) for seen_in, share in (("dry_land", 0.002), ("residual_slush", 0.01))}
     robot = "robot-residual_slush-9m-trial-0"
     best = replace(slush_replay, depth=9.0, best=True, arm_mean=9.0)
     return StudyPage(
@@ -125,7 +112,6 @@ def study(slush_replay, dry_replay, predicted_replay) -> StudyPage:
         curves={arm: [np.linspace(0.0, value, 30) for value in values] for arm, values in ZERO_SHOT.items()},
         assessed=assessed,
         throws=ThrowPaths(np.repeat([1.0, 2.0, 3.0], 3), paths),
-        pilots={"throws": by_robots, "designed_throws": by_robots},
         replays=[
             replace(slush_replay, title="Without", environment="dry_land"),
             slush_replay,

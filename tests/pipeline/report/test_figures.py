@@ -81,9 +81,6 @@ def test_the_arms_have_their_colours_and_names_and_the_paper_is_at_nine_metres(s
     [
         ("fitness_curves", ("depth 1 m", "depth 9 m", "True Slush")),
         ("data_set", ("1 m × 1 m, 3 throws", "3 m × 0.33 m, 3 throws")),
-        ("coverage", ("length", "spin", "robots evolved in the ensemble")),
-        ("coverage", ("the paper’s throws: 4 % and 21 % outside", "throws designed for robots: 4 % and 21 % outside")),
-        ("champion_coverage", ("Residual Slush", "share of a champion’s states outside the throws [%]")),
         ("transfer_across_depths", ("zero-shot", "controller adapted", "Dry Land")),
     ],
 )

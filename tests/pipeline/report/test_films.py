@@ -92,12 +92,6 @@ def test_no_distance_is_cut_at_the_edge(slush_replay):
     assert labels > 100 * len(drawn) and edges == 0
 
 
-@pytest.mark.parametrize("render", [render_gif, render_mp4])
-def test_no_replays(render):
-    with pytest.raises(ValueError, match="expected at least one replay, got none"):
-        render([])
-
-
 def test_outline_of_a_link_that_lies_on_its_side():
     """A link of length 2 is 0.5 wide; turned by 90° its long axis lies along x."""
     outline = link_outline(np.array([3.0, 1.0, np.pi / 2]), np.array(2.0))

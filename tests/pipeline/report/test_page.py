@@ -78,7 +78,7 @@ def test_it_is_whole_and_nothing_is_fetched(html, study, drawn):
     assert page.open == [] and len(set(page.ids)) == len(page.ids)
     outside = {reference for reference in page.references if not reference.startswith(("#", "data:"))}
     figures = {f"{name}.{kind}" for name in drawn for kind in ("svg", "png")}
-    assert outside == {"replay.mp4", "replay.gif", *figures, *tables_of(study)}
+    assert outside == {"replay.mp4", "replay.gif", *figures, *tables_of(study.tables)}
     assert not re.search(r'<(?!a)[^>]* href="[^#d]', html)
     assert "url(" not in html.replace("url(#", "")
     assert "@import" not in html
@@ -202,7 +202,7 @@ def test_what_a_study_does_not_have_is_left_out(study, html):
 
 
 def test_tables_can_be_downloaded(study):
-    tables = {name: data.decode().splitlines() for name, data in tables_of(study).items()}
+    tables = {name: data.decode().splitlines() for name, data in tables_of(study.tables).items()}
     assert set(tables) == {"columns.csv", *(f"{name}.csv" for name, rows in study.tables.items() if rows)}
     assert 'transfer,zero_shot,m,"Displacement of the root in True Slush, as it is."' in tables["columns.csv"]
     assert tables["scores.csv"][0].startswith("environment,depth,trial,")

@@ -13,8 +13,6 @@ from hypothesis.extra import numpy as hnp
 
 from pipeline.config.settings import RolloutSettings
 from pipeline.report.replay import QUANTUM, Overlay, encode, replay_of
-from tasks.simulation import simulate
-from tasks.world import TrueSlush
 
 WORDS = {"title": "a robot", "environment": "", "seen_in": "True Slush", "depth": 2.0, "surroundings": "true slush"}
 
@@ -67,13 +65,6 @@ def test_encoding_stays_within_half_a_quantum(slush_replay):
 def test_encoding_any_motion_stays_within_half_a_quantum(slush_replay, frames):
     encoded = encode(replace(slush_replay, frames=frames))
     assert np.abs(decode(encoded) - frames).max() <= encoded["quantum"] * 0.5 + 1e-9
-
-
-def test_twenty_seconds_take_sixteen_kilobytes(rollout):
-    """600 steps of 18 bytes are 14,400 characters of base64; the rest is for values that need more than a byte."""
-    design, _, _ = rollout
-    trace = simulate(design, TrueSlush(2.0), n_settle=60, n_measure=1200, engine="reference", trace=True).trace[0]
-    assert len(json.dumps(encode(replay_of(design, trace, n_settle=60, **WORDS)))) < 16_500
 
 
 def test_a_diverged_rollout_is_refused(rollout):

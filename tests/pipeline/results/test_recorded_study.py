@@ -160,20 +160,6 @@ def test_a_damaged_history_is_named(recorded, tmp_path):
         open_study("tiny", root).table("histories")
 
 
-def test_an_unknown_study_a_damaged_record_and_no_store(recorded, tmp_path):
-    with pytest.raises(PuddleError, match=r"study '\.\./tiny': .* holds tiny"):
-        open_study("../tiny", recorded)
-    with pytest.raises(PuddleError, match="expected a store"):
-        open_study("tiny", tmp_path / "none")
-    root = shutil.copytree(recorded, tmp_path / "store")
-    (root / "studies" / "tiny" / "study.json").write_text("{}")
-    with pytest.raises(PuddleError, match=r"study\.json"):
-        open_study("tiny", root)
-    shutil.rmtree(root / "studies")
-    with pytest.raises(PuddleError, match="holds no study yet"):
-        open_study("tiny", root)
-
-
 def test_a_study_is_read_by_its_recorded_keys(settings, recorded, opened, tmp_path):
     """Where today's settings lead to another study's results, the recorded ones are shown, and a warning says so."""
     root = shutil.copytree(recorded, tmp_path / "store")

@@ -100,12 +100,6 @@ def test_champions_repeat_the_scores_of_evolution_and_transfer(tables, scores):
     assert {who: p for who, p in predicted.items() if who[0] in networks} == {
         who: one.predicted for who, one in scores.items() if who[0] in networks
     }
-    tests = rows(
-        tables["transfer_tests"], "environment", "depth", "trial", "tested", "displacement", "com_displacement"
-    )
-    assert {(e, d, t): (root, whole) for e, d, t, tested, root, whole in tests if d == tested} == {
-        who: (one.zero_shot, one.zero_shot_com) for who, one in scores.items()
-    }
 
 
 def test_a_study_without_networks_gets_what_needs_none(settings, study, tables):
@@ -118,8 +112,8 @@ def test_a_study_without_networks_gets_what_needs_none(settings, study, tables):
     found = {
         name: len(table["depth"]) for name, table in computed(without, upstream, store).items() if "depth" in table
     }
-    assert found["scores"] == 4 and found["transfer_tests"] == 4
-    assert not {"exploiters", "champion_coverage/dry_land/1m"} & set(found)
+    assert found["scores"] == 4
+    assert "exploiters" not in found
 
 
 def test_failed_trials_leave_the_rest(settings, study):
@@ -144,7 +138,7 @@ def test_trials_whose_designs_all_diverged_leave_empty_tables(settings, study):
     tables = computed(settings, upstream, store, change)
     assert set(tables["scores"]["status"]) == {"no champion"}
     with_rows = {label.split("/")[0] for label, table in tables.items() if len(next(iter(table.values())))}
-    assert with_rows <= {"scores", "transfer", "regressions", "paper"}
+    assert with_rows <= {"scores", "transfer", "luck", "regressions", "paper"}
 
 
 def test_the_assessed_depth_is_the_papers_or_the_deepest():

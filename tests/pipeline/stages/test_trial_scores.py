@@ -30,6 +30,6 @@ def test_the_file_tells_what_diverged_from_what_was_not_simulated():
     assert json.loads(encode_scores(None)) == {"status": NO_CHAMPION}
 
 
-def test_what_is_missing_or_diverged_is_not_finite():
-    assert [one.finite("zero_shot") for one in (OF_ENSEMBLE, DIVERGED)] == [1.0, None]
-    assert [one.finite("adapted") for one in (OF_ENSEMBLE, ADAPTED)] == [None, 4.0]
+def test_what_is_missing_or_diverged_is_none():
+    assert [one.by_name()["zero_shot"] for one in (OF_ENSEMBLE, DIVERGED)] == [1.0, None]
+    assert [one.by_name()["adapted"] for one in (OF_ENSEMBLE, ADAPTED)] == [None, 4.0]

@@ -42,7 +42,6 @@ def robot(crane):
         environment=TrueSlush(depth=2.0),
         physics=LOCKED,
         n_settle=200,
-        n_measure=1200,
         predicted=None,
     )
 
@@ -71,7 +70,7 @@ def test_lags_are_the_simulations_own(robot, trace):
     turned = late[:-n_late, 4:, 2] - late[:-n_late, :1, 2]
     late[n_late:, 4:, 2] = late[n_late:, :1, 2] + turned
     lags = [
-        compare_with_simulation(robot, filmed(run), start=BEGAN, predictor=None).lags / (2 * np.pi * robot.frequency)
+        compare_with_simulation(robot, filmed(run), start=BEGAN).lags / (2 * np.pi * robot.frequency)
         for run in (trace, late)
     ]
     assert robot.joints == (2, 4)
@@ -81,7 +80,7 @@ def test_lags_are_the_simulations_own(robot, trace):
 
 def test_an_unknown_start_is_where_the_joints_lag_as_simulated(robot, trace):
     """The figure of the joints would otherwise show all of them ahead of their simulation."""
-    found = compare_with_simulation(robot, filmed(trace), start=None, predictor=None)
+    found = compare_with_simulation(robot, filmed(trace), start=None)
     pairs = zip(found.measured.gaits, found.simulated.gaits, strict=True)
     assert np.mean([real.phase - expected.phase for real, expected in pairs]) == pytest.approx(0, abs=np.radians(0.5))
     assert not found.start_known and found.lags.mean(axis=1) == pytest.approx([0, 0], abs=1e-12)

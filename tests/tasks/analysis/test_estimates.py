@@ -82,20 +82,6 @@ def test_variances_of_worked_examples(values, replicate, between, within, varian
     assert interval.high - interval.value == interval.value - interval.low == pytest.approx(half)
 
 
-def test_unequal_replicates_have_the_variance_of_their_mean():
-    """Sizes 5, 3 and 1: k = 35 / 9, and the variance of the mean is (k · 0.9 + 0.1) / 9.
-
-    Four deviations of a mean square of two degrees of freedom, over 2,000 samples, are 4 / √2000 of it.
-    """
-    draw, replicate, found = rng(2), np.repeat([0, 1, 2], [5, 3, 1]), []
-    for _ in range(2000):
-        effect = draw.normal(0, math.sqrt(0.9), 3)
-        found.append(components(Sample(effect[replicate] + draw.normal(0, math.sqrt(0.1), 9), replicate)))
-    close = {"rel": 4 / math.sqrt(2000)}
-    assert np.mean([of.error.variance for of in found]) == pytest.approx((35 / 9 * 0.9 + 0.1) / 9, **close)
-    assert np.mean([of.between for of in found]) == pytest.approx(0.9, **close)
-
-
 def test_variances_add_and_degrees_of_freedom_are_welchs():
     x, y = sample([1, 2, 3, 5, 6, 7], [0, 0, 0, 1, 1, 1]), sample([1, 2, 3, 4])
     error, parts = error_of(x, y), (4.0, 5 / 3 / 4)
@@ -155,16 +141,6 @@ def test_two_samples_have_scipys_interval_widened_by_students_t():
     (found,) = of(x, y, statistic=lambda x, y: x / y)
     deviation = x.std() / math.sqrt(30) / 3.0
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=0.2 * deviation)
-
-
-@pytest.mark.parametrize(("n", "held"), [(5, 0.92), (10, 0.943), (20, 0.95)])
-def test_the_bootstrap_holds_the_mean_of_small_samples(n, held):
-    """The count is binomial: with 200 samples its deviation is at most 0.019; four of these are allowed."""
-    draw, inside = rng(5), 0
-    for seed in range(200):
-        (found,) = of(draw.normal(5.0, 1.0, n), seed=seed)
-        inside += found.low <= 5.0 <= found.high
-    assert abs(inside / 200 - held) < 4 * math.sqrt(held * (1 - held) / 200)
 
 
 def test_rows_are_resampled_whole():

@@ -139,7 +139,7 @@ def test_figures_of_the_networks_are_compared_at_the_papers_depth():
     trial = [f"true_slush/{k}" for k in np.arange(200) % 20]
     assessed = Assessed(0.5 * true + draw.normal(0, 2, (8, 200)), true, trial, np.zeros(200, int))
     study = study_of({})
-    study.throw_groups, study.deviation, study.assessed = ("throws",), "population", lambda group: assessed
+    study.settings.throw_groups, study.assessed = ("throws",), lambda group: assessed
     rows = rows_of(study)
     assert len(rows) == len(RANGES) + len(AGGREGATES)
     found = accuracy(assessed, "throws", "population", np.random.default_rng(0))
@@ -147,5 +147,5 @@ def test_figures_of_the_networks_are_compared_at_the_papers_depth():
     row = rows["Pearson's R of the members, at 9 m"]
     assert row.value == median and row.this_run == f"{lowest.value:.2f} to {highest.value:.2f}"
     assert row.verdict == ("agrees" if median.low >= 0.24 and median.high <= 0.68 else "cannot tell")
-    study.assessed_depth = 3.0
+    study.settings.assessed_depth = 3.0
     assert paper(study) == []

@@ -1,16 +1,13 @@
-"""Tables that are made of scores alone: transfer and variance."""
+"""Scores, and the transfer table that is made of them."""
 
 import math
 
-import numpy as np
 import pytest
-from scipy import stats
 from scores_of import study_of, trials_of
 
-from tasks.analysis.estimates import MISSING, Mean
+from tasks.analysis.estimates import Mean
 from tasks.analysis.scores import BEST, ScoredTrial, arm_name, arms, sample
 from tasks.analysis.tables.transfer import papers_mean, transfer, transfer_rows
-from tasks.analysis.tables.variance import variance
 
 NAN = float("nan")
 E = ("true_slush", 9.0)
@@ -54,33 +51,3 @@ def test_arms_are_listed_the_deepest_first_and_trials_by_number_with_their_repli
 def test_the_papers_means_are_at_its_depth_alone():
     assert papers_mean("residual_slush", "zero_shot", 9.0) == pytest.approx(0.67 * 13.6)
     assert papers_mean("residual_slush", "zero_shot", 3.0) is None is papers_mean("single_member", "adapted", 9.0)
-
-
-def test_variance_of_a_worked_example():
-    """MSB = 24 and MSW = 1 of three trials in each of two replicates."""
-    values = np.empty(6)
-    values[0::2], values[1::2] = [1, 2, 3], [5, 6, 7]
-    (row,) = variance(study_of({("residual_slush", 9.0): values}, n_replicates=2))
-    assert (row.quantity, row.n, row.n_replicates) == ("zero_shot", 6, 2)
-    assert (row.sd_between, row.sd_within) == pytest.approx((math.sqrt(23 / 3), 1))
-    f = [24 / stats.f.ppf(tail, 1, 4) for tail in (0.975, 0.025)]
-    assert row.share_between.value == pytest.approx(23 / 26)
-    assert row.share_between.interval == pytest.approx(tuple((of - 1) / (of + 2) for of in f))
-
-
-@pytest.mark.parametrize(("values", "n_replicates"), [([1, 2, 3], 1), ([1, 2, 3], 3), ([2, 2, 2, 2], 2)])
-def test_what_replicates_can_not_tell_apart_has_no_share(values, n_replicates):
-    (row,) = variance(study_of({("residual_slush", 9.0): values}, n_replicates=n_replicates))
-    assert row.share_between == MISSING
-    assert (row.sd_between is None) == (n_replicates in (1, 3)) and (row.sd_within is None) == (n_replicates == 3)
-
-
-def test_the_interval_of_the_share_holds_it():
-    """95 % of 1,000 intervals of three replicates of four trials, give or take four binomial deviations."""
-    draw, inside, replicate = np.random.default_rng(1), 0, np.arange(12) % 3
-    for _ in range(1000):
-        effect = draw.normal(0, math.sqrt(0.3), 3)
-        values = effect[replicate] + draw.normal(0, math.sqrt(0.7), 12)
-        (row,) = variance(study_of({("residual_slush", 9.0): values}, n_replicates=3))
-        inside += row.share_between.low <= 0.3 <= row.share_between.high
-    assert abs(inside / 1000 - 0.95) < 4 * 0.007
