@@ -70,7 +70,7 @@ test: $(INSTALLED_DEV) ## check style, format, types and layers, and run the tes
 	$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 5 --durations-min 10
 
 torture: $(INSTALLED_DEV) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=5 for each test)
-	$(VENV)/bin/python -m pytest tests/torture --torture --minutes $(MINUTES)
+	$(VENV)/bin/python -m pytest tests/torture tests/pipeline/cluster/test_slurm.py --torture --minutes $(MINUTES)
 
 lint: $(INSTALLED_DEV) ## check style, format, types and layers alone
 	$(VENV)/bin/ruff check .

@@ -74,7 +74,6 @@ LONGEST_FIRST = (
     *TOGETHER["study"],
     "tracking/test_pages.py",
     "torture/test_kills.py",
-    "cluster/test_slurm.py",
     "parity/test_batch_equals_pybox2d.py",
     "parity/test_bodies_equal_pybox2d.py",
     "fabrication/test_fabricate.py",

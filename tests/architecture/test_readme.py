@@ -79,12 +79,6 @@ def test_a_command_parses(page, words):
         StudyOptions(preset=options["preset"], overrides=overrides).settings()
 
 
-def test_targets_of_make_exist():
-    targets = set(re.findall(r"^([a-z]+):.*## ", (ROOT / "Makefile").read_text(), flags=re.M))
-    named = {found[1] for _, line in code_lines() if (found := re.match(r"make ([a-z]+)\b", line))}
-    assert {"study", "test"} <= named <= targets
-
-
 @pytest.mark.parametrize(("page", "language", "text"), [block for block in BLOCKS if block[1] in ("python", "yaml")])
 def test_snippets_are_well_formed(page, language, text):
     if language == "yaml":

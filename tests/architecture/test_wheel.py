@@ -45,7 +45,7 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(tmp_pat
     where = "import puddle, pipeline, tasks; print(puddle.__file__, pipeline.__file__, tasks.__file__)"
     assert ran("python", "-c", where).count(str(site)) == 3
     shorter = ("grid.depths=[9]", "grid.n_trials=1", "rollout.n_measure=60", "throws.n_throws=10")
-    shorter += ("grid.environments=[residual_slush]", "grid.single_member_depths=[]")
+    shorter += ("grid.environments=[dry_land]", "grid.single_member_depths=[]")
     ran("puddle", "study", "--preset", "smoke", "--workers", "0", *(word for one in shorter for word in ("--set", one)))
     assert (empty / "store" / "studies" / "smoke" / "report" / "index.html").stat().st_size > 100_000
     assert "report    done" in ran("puddle", "status", "--study", "smoke")

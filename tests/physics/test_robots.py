@@ -71,7 +71,7 @@ def test_a_fused_body_floats_where_its_weight_and_its_moments_balance() -> None:
     # With locked joints and no motor a robot is a single body. Drag vanishes with speed, so it keeps bobbing, ever
     # less. Take the means over its last ten seconds.
     buildable = Morphology(n_actuated=2, unjoined_links="apart")
-    designs = still(random_designs(16, np.random.default_rng(51), morphology=buildable))
+    designs = still(random_designs(6, np.random.default_rng(51), morphology=buildable))
     physics = Physics(max_motor_torque=30.0, passive_joints="locked", link_collisions=True)
     rollouts = simulate(
         designs, TrueSlush(50.0), n_settle=0, n_measure=4800, engine="reference", trace=True, physics=physics

@@ -12,7 +12,6 @@ import pytest
 
 from pipeline import kernels
 from tasks.compiled import compiled
-from tasks.simulation.batch import needed_kernels
 from tasks.world import Physics
 
 ROOT = Path(__file__).parents[2]
@@ -108,18 +107,6 @@ def test_what_is_compiled_takes_no_more_time(compile_and_call, monkeypatch):
     kernels.cache_folder.cache_clear()
     shutil.rmtree(kernels.cache_folder())
     assert kernels.seconds_to_compile(Physics()) == 1
-
-
-def test_only_the_kernels_of_the_engine_in_use_are_needed():
-    for collide, unused in ((False, "rigid_bodies"), (True, "trees")):
-        needed = needed_kernels(Physics(link_collisions=collide))
-        assert needed and not any(f".{unused}." in function.__module__ for function in needed)
-
-
-def test_a_closure_is_no_kernel():
-    factor = 2
-    with pytest.raises(ValueError, match="is a closure"):
-        compiled(lambda x: factor * x, seconds=1)
 
 
 def test_without_a_home_kernels_are_kept_among_temporary_files(tmp_path, monkeypatch):

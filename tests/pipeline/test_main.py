@@ -37,18 +37,3 @@ def test_ctrl_c_during_the_imports_shows_no_traceback(arguments, tmp_path):
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=30)
     assert (process.returncode, said) == (INTERRUPTED, ("", ""))
-
-
-AFTER_THE_IMPORTS = """
-import pipeline.commands.app as app
-from pipeline.__main__ import main
-def interrupted():
-    raise KeyboardInterrupt
-app.main = interrupted
-main()
-"""
-
-
-def test_ctrl_c_between_the_imports_and_the_command_shows_no_traceback():
-    ended = subprocess.run([sys.executable, "-c", AFTER_THE_IMPORTS], cwd=ROOT, capture_output=True, text=True)
-    assert (ended.returncode, ended.stderr) == (INTERRUPTED, "")

@@ -95,11 +95,13 @@ def submitted(place: Path, *words: str, number: int, script: Path = SCRIPT, n_no
 
 
 @pytest.mark.timeout(600)
-def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(place):
+def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(torture, place):
     """The one test with real Ray: it takes as long as two Ray nodes and a driver need to start, half a minute.
 
     The study ends with evolution: that the script runs a whole one is seen with the stand-in for `puddle` below.
     """
+    if not torture.large:
+        pytest.skip("only with --torture: two nodes and a driver start")
     write(place, puddle=f'#!/bin/sh\nexec {sys.executable} -m pipeline "$@"\n')  # this checkout's
     (place / "tiny.yaml").write_text(ON_DRY_LAND)
     ((option, small),) = SMALL_MEMORY.items()

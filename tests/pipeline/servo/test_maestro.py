@@ -1,14 +1,11 @@
 """The Maestro protocol against the user's guide, and failing ports, on a pty with pyserial."""
 
-import os
-import pty
-
 import pytest
 
 from pipeline.errors import PuddleError
 from pipeline.servo import maestro
 from pipeline.servo.maestro import open_maestro
-from pipeline.servo.servo_controller import ControllerError, PortLostError
+from pipeline.servo.servo_controller import ControllerError
 
 
 def opened(fake, *, timeout=10.0):
@@ -79,15 +76,3 @@ def test_ports_that_cannot_be_opened(plug, tmp_path):
         with pytest.raises(PuddleError, match=said):
             open_maestro(path, timeout=0.1)
     first.close()
-
-
-def test_an_unplugged_port():
-    master, slave = pty.openpty()
-    controller = open_maestro(os.ttyname(slave), timeout=0.1)
-    os.close(master)
-    with pytest.raises(PortLostError, match="lost the port while sending"):
-        controller.send({0: 1500.0})
-    with pytest.raises(PortLostError, match="lost the port while asking"):
-        controller.check()
-    controller.close()
-    os.close(slave)

@@ -68,6 +68,13 @@ def _unbatched(stage: AnyStage) -> AnyStage:
     return dataclasses.replace(stage, compute_batch=None)
 
 
+def test_the_items_of_a_batch_share_its_time(tmp_path):
+    settings = parse(Settings, ON_DRY_LAND, name="tiny", overrides=BATCHED)
+    with serial_cluster() as inner:
+        found = run(settings, Store.open(tmp_path / "store", create=True), Stuck(inner), [EVOLVE])["evolve"]
+    assert found.seconds == pytest.approx(400)  # the first four trials and the fifth, twice each, of 100 s
+
+
 def test_batches_leave_no_core_without_work(tmp_path):
     _, batches = _batched(tmp_path / "two", n_cores=2.0)
     assert batches[:4] == [[0, 1], [2], [3], [4]]  # two items for each core

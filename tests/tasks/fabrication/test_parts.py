@@ -104,12 +104,6 @@ def test_rods_reach_both_copies_and_clear_the_sweeping_parts(kit):
                     for pose in kit.mechanism.poses_in_range(body, other.index):
                         gap = moved(kit.profiles[other.index].polygon, pose).distance(Point(rod)) - 1.5
                         assert gap > SETTINGS.sweep_clearance_mm - 0.01
-    for item in kit.bought:
-        if item.kind == "rod":
-            box, body = item.solid.bounding_box(), int(item.name[-1]) - 1
-            left, right = (part(kit, f"part-{body + 1}-{side}").solid.bounding_box() for side in ("left", "right"))
-            actual = [box.min.Z, box.max.Z]
-            assert actual == pytest.approx([left.min.Z, right.max.Z])
 
 
 def test_poses_are_those_of_the_design_with_its_joints_turned(crane):
@@ -149,15 +143,6 @@ def test_the_bill(kit):
     assert kit.mass_g == pytest.approx(
         sum(p.mass_g for p in kit.parts) + 2 * 67 + sum(line.mass_g for line in kit.bill if line.kind in ("rod", "pin"))
     )
-    # The supplies in docs/assembly.md and docs/servo.md; an O-ring per servo.
-    assert [(line.item, line.count) for line in kit.bill if line.kind in ("supplies", "electronics")] == [
-        ("glue", 1),
-        ("silicone sealant", 1),
-        ("marine grease", 1),
-        ("O-ring for a 5.9 mm shaft", 2),
-        ("Pololu Maestro", 1),
-        ("5 V supply", 1),
-    ]
 
 
 def test_parts_lie_on_the_bed(kit):

@@ -95,6 +95,6 @@ def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_eng
     assert np.isnan(ours.displacement[ours.status == DIVERGED]).all()
 
 
-@pytest.mark.parametrize(("n_designs", "physics", "n_steps"), [(4, TREES, (15, 15)), (2, BODIES, (5, 3))])
+@pytest.mark.parametrize(("n_designs", "physics", "n_steps"), [(2, TREES, (12, 12)), (1, BODIES, (5, 3))])
 def test_the_kernels_are_plain_python_too(n_designs, physics, n_steps):
     assert_equal_in_plain_python(n_designs, physics, n_steps)
