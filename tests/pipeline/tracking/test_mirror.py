@@ -21,6 +21,7 @@ from pipeline.tracking.database import EXPERIMENT, database_uri
 from pipeline.tracking.mirror import Tracker
 from pipeline.tracking.run import CurvePart, CurvePoints, Run
 from pipeline.tracking.server import show_ui
+from pipeline.workflow.study_mirror import _thinned
 
 STUDY = Run("smoke", "5" * 64, params={"evolution": {"n_generations": 1500}}, tags={"preset": "smoke"})
 STAGE = Run(
@@ -217,6 +218,12 @@ def test_an_unreachable_server_is_noticed_within_seconds_and_once(tmp_path, monk
             assert time.monotonic() - begin < 5  # MLflow itself takes minutes
     assert len(said) == 1 and address in said[0] and "does not answer" in said[0]
     assert not (tmp_path / "mlflow.db").exists()
+
+
+@pytest.mark.parametrize("n", [1, 100, 101, 250])
+def test_a_thinned_curve_ends_where_the_whole_one_does(n):
+    points = _thinned(lambda: CurvePoints(range(n), {"fitness": [float(k) for k in range(n)]}), 100)
+    assert points.steps[-1] == points.values["fitness"][-1] == n - 1 and len(points.steps) <= 100
 
 
 def test_only_the_new_parts_of_a_growing_curve_are_read(store):

@@ -85,3 +85,10 @@ def test_failures_are_named_and_the_rest_completes(options, monkeypatch, tmp_pat
     assert call("train", *options, "--workers", "0") == call("evolve", *options, "--workers", "0") == 0
     made = {(stage, key) for stage in store.stages() for key in store.keys(stage)} - before
     assert sorted(stage for stage, _ in made) == ["evolve"] * 5 + ["train"]
+
+
+def test_designs_that_diverge_are_named_and_end_a_command_with_its_code(options, monkeypatch, capsys):
+    diverged = {"diverged": lambda settings, results, store: dict.fromkeys(results.done, "3 designs diverged")}
+    monkeypatch.setattr(pipeline.stages, "STAGES", tuple(dataclasses.replace(stage, **diverged) for stage in STAGES))
+    assert call("evolve", *options, "--set", "grid.environments=[dry_land]", "--workers", "0") == INCOMPLETE
+    assert "evolve: dry_land/1m/trial-2: 3 designs diverged" in capsys.readouterr().err
