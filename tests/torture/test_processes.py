@@ -87,11 +87,11 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
     Until then they listen on the loopback alone and connect to no other host.
 
     The folder of a killed driver's Ray is removed by the next start. `make test` tries SIGINT and SIGKILL alone, at
-    work. The killed driver mirrors nothing to MLflow.
+    work, of drivers that mirror nothing to MLflow.
     """
     if not torture.large and way in ("SIGTERM", "closed terminal"):
         pytest.skip("with --torture: the handler is that of SIGINT")
-    options = WITHOUT_MLFLOW if way == "SIGKILL" and not torture.large else ()
+    options = () if torture.large else WITHOUT_MLFLOW
     for number, rng in enumerate(torture.attempts(1, 40)):
         folder = tmp_path / str(number)
         ours, theirs = pty.openpty() if way == "closed terminal" else (None, None)
@@ -121,7 +121,9 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
             assert Store.open(folder / "store", create=False).verify() == []
 
 
-def test_two_studies_at_once_on_one_store_and_one_database(tmp_path: Path):
+def test_two_studies_at_once_on_one_store_and_one_database(torture, tmp_path: Path):
+    if not torture.large:
+        pytest.skip("only with --torture: two drivers import MLflow")
     land = ("--workers", "0", "--set", "grid.environments=[dry_land]")
     longer = ("--set", "name=longer", "--set", "evolution.n_generations=6")
     with driver(tmp_path, *land, command="evolve") as one, driver(tmp_path, *land, *longer, command="evolve") as other:

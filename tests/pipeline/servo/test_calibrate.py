@@ -123,7 +123,7 @@ def test_mistakes_of_calibrate_and_off(kit, tmp_path, capsys):
     assert "for joints 2, 4, got 3" in refused(capsys, "servo", "calibrate", str(kit), "--dry-run", "--joint", "3")
     for command in ("calibrate", "off"):
         for arguments, said in (
-            ((), "KIT"),
+            ((), "{kit}"),
             ((str(kit),), "--port: expected"),
             ((str(tmp_path / "none.yaml"), "--dry-run"), "can't read the calibration file"),
         ):

@@ -91,7 +91,7 @@ def test_mistakes(kit, tmp_path, capsys):
     (tmp_path / "bare").mkdir()
     (tmp_path / "bare" / "kit.json").write_text("{}")
     for arguments, said in (
-        ((), "TIMELINE"),
+        ((), "{timeline}"),
         ((str(kit),), "--port"),
         ((str(kit), "--port", "/dev/ttyNOPE", "--yes"), "no such port"),
         ((str(kit / "none.json"), "--dry-run"), "can't read the timeline"),
