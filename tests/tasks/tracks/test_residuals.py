@@ -33,9 +33,9 @@ def test_slow_bars_show_the_mediums_residual() -> None:
 
 def test_rollouts_find_spins_that_die_out_between_frames() -> None:
     """Fast bars lose most of their spin in the 3.8 steps between two frames, which a smoother takes for less drag."""
-    thrown = filmed(12)
+    thrown = filmed(16)
     smoothed, _ = residual_transitions(*thrown, PLAIN, PHYSICS)
-    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS, n_iterations=120)
+    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS, n_iterations=200)
     assert (errors(found, slower_than=20.0) < (0.3, 0.2, 0.3)).all()
     assert errors(smoothed, slower_than=20.0)[2] > 0.4
     assert np.abs(found.state[:, 5]).max() <= np.abs(smoothed.state[:, 5]).max()
