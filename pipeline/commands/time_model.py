@@ -32,7 +32,12 @@ _PASSES_OF_TRAINING = 3  # forward, and twice as much backward
 _SECONDS_PER_ITERATION = 0.15e-3  # of training, besides arithmetic
 _SECONDS_PER_THROW_STEP = 0.1e-6
 _SECONDS_PER_PICTURE = 4.4e-3
-_SECONDS_PER_ITEM = {"collect": 0.3, "train": 1.0, "pilot": 4.0}  # to import torch and the like; else as below
+_SECONDS_PER_ITEM = {  # to import torch and the like; else as below
+    "collect": 0.3,
+    "train": 1.0,
+    "pilot": 4.0,
+    "analyse": 1.0,
+}
 _SECONDS_PER_OTHER_ITEM = 0.05
 _BYTES = {  # of an item, and of each unit; networks and generations follow from their sizes
     "throws": (5e3, 7e3),
