@@ -139,9 +139,8 @@ def _survey(settings: Settings, store: Store) -> tuple[Upstream, dict[_Kind, _Co
     done = survey(settings, STAGES, store)
     samples: dict[_Kind, list[_Cost]] = {}
     for stage in STAGES:
-        weights = {chain.identity: chain.weight for chain in stage.plan(settings)}
         for progress in done.chains[stage.name]:
-            weight = weights[progress.chain.identity]
+            weight = progress.chain.weight
             for manifest, units in zip(progress.manifests, progress.chain.units, strict=False):
                 if units * weight > 0 and _on_one_core(manifest):
                     n_bytes = sum(entry.n_bytes for entry in manifest.files.values())

@@ -82,7 +82,7 @@ class StageRun:
             recorded: keys of items by stage and label of their chain; they count whatever today's code makes of them.
         """
         progress = []
-        for chain in _evenly_weighted(self.stage.plan(self.settings)):
+        for chain in self.stage.plan(self.settings):
             keys = recorded.get((self.stage.name, chain.label))
             progress.append(self._planned(chain) if keys is None else self._recorded(chain, keys))
         return progress
@@ -125,14 +125,6 @@ class StageRun:
             if manifest is None:
                 return
             progress.manifests.append(manifest)
-
-
-def _evenly_weighted(chains: Sequence[Chain[Any]]) -> list[Chain[Any]]:
-    """Scale weights so that weighted units add up to the number of units."""
-    units = [sum(chain.units) for chain in chains]
-    weighted = sum(u * chain.weight for u, chain in zip(units, chains, strict=True))
-    scale = sum(units) / weighted if weighted > 0 else 1.0
-    return [replace(chain, weight=chain.weight * scale) for chain in chains]
 
 
 def results_of(stage: AnyStage, chains: Sequence[ChainProgress]) -> Results:

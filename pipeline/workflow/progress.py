@@ -15,9 +15,8 @@ from dataclasses import dataclass, field
 from datetime import timedelta
 
 from rich.console import Console
-from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
+from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as RichProgress
-from rich.text import Text
 
 _BAR_WIDTH = 30
 _ROUNDING = 1e-9  # relative error of a sum of costs
@@ -28,7 +27,7 @@ class Work:
     """An amount of work."""
 
     units: float = 0.0  # number of units, such as generations
-    cost: float = 0.0  # cost, in units of average cost
+    cost: float = 0.0  # relative to that of other work of the same stage
 
     def __add__(self, other: Work) -> Work:
         return Work(self.units + other.units, self.cost + other.cost)
@@ -132,13 +131,6 @@ def _duration(seconds: float) -> str:
     return str(timedelta(seconds=round(seconds)))
 
 
-class _Words(ProgressColumn):
-    """The counts and times of a stage, computed whenever they are drawn."""
-
-    def render(self, task: Task) -> Text:
-        return Text(f"{task.fields['pace']}")
-
-
 @dataclass
 class Progress:
     """Shows progress to the user: bars where there is a terminal, else lines now and then."""
@@ -194,6 +186,6 @@ def progress(console: Console | None = None, *, seconds_between_lines: float = 1
     if not console.is_interactive:  # no terminal, or one that can't move its cursor
         yield Progress(console, seconds_between_lines, None)
         return
-    columns = TextColumn("{task.description}", markup=False), BarColumn(_BAR_WIDTH), _Words()
-    with RichProgress(*columns, console=console, redirect_stdout=False) as bars:
+    place, pace = (TextColumn(text, markup=False) for text in ("{task.description}", "{task.fields[pace]}"))
+    with RichProgress(place, BarColumn(_BAR_WIDTH), pace, console=console, redirect_stdout=False) as bars:
         yield Progress(console, seconds_between_lines, bars)
