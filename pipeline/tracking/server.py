@@ -26,7 +26,7 @@ from pipeline.tracking.database import (
 
 _VIEW = "puddle"  # name of the shared view that the list of studies opens with
 _STUDIES = "tags.`puddle.kind` = 'study'"
-_HEADLINE, _MOST_HEADLINES = "ratio_to_true_slush.zero_shot.", 6
+_HEADLINE, _MOST_HEADLINES = "ratio_to_true_slush.zero_shot.", 4  # more would push the presets off the screen
 _SECONDS_TO_START = 120.0  # time for the server to start before its address is no longer announced
 
 
@@ -86,7 +86,8 @@ def runs_page(server: str, experiment: str | None, study: str | None = None) -> 
 def _view(client: Any, experiment: str) -> str:
     """Return MLflow's list of studies as it is shared: with columns for their presets and headline figures."""
     studies = client.search_runs([experiment], _STUDIES, max_results=100)
-    headlines = sorted({name for run in studies for name in run.data.metrics if name.startswith(_HEADLINE)})
+    found = {name for run in studies for name in run.data.metrics if name.startswith(_HEADLINE)}
+    headlines = sorted(found, reverse=True)  # the deepest networks first
     columns = ["attributes.`Created`", "attributes.`Duration`", "tags.`preset`"]
     columns += [f"metrics.`{name}`" for name in headlines[:_MOST_HEADLINES]]
     return json.dumps({"searchFilter": _STUDIES, "selectedColumns": columns})
