@@ -48,6 +48,7 @@ from tasks.analysis.tables.transfer import TransferRow
 EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 
 LARGE_TABLES = ("histories", "adaptations")  # of every design that ever lived; gigabytes in a large study
+_CSV_PER_PARQUET = 5  # bytes, about
 
 
 def export_study(
@@ -96,7 +97,8 @@ def export_study(
         rows = page.rows("transfer")
         folder.write("transfer.tex", as_latex(TransferRow, rows, f"Transfer results of study {study.name}.").encode())
         n_champions = _write_champions(study, folder)
-        say(f"writing {len(chosen)} tables")
+        n_bytes = sum(map(study.table_bytes, chosen)) * (_CSV_PER_PARQUET if kind == "csv" else 1)
+        say(f"writing {len(chosen)} tables, at most about {n_bytes / 1e6:,.1f} MB")
         n_rows = _write_tables(study, chosen, folder, kind)
         say("drawing figures")
         drawings = draw_all(page, for_print=True)

@@ -16,6 +16,7 @@ from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.results.study_tables import KEYS, SOURCES, available, keys_of, parts_of
 from pipeline.stages import STAGES, environments
+from pipeline.stages.analyse import table_file
 from pipeline.stages.data_sets import data_sets, ensemble_ids
 from pipeline.stages.transfer import CHAMPION, read_trials
 from pipeline.stages.trial_scores import SCORE, decode_scores
@@ -140,6 +141,14 @@ class Study:
             yield self.champions()
         else:
             yield from parts_of(name, self.upstream[SOURCES[name].stage], self.store, only=only)
+
+    def table_bytes(self, name: str) -> int:
+        """Return the size of a table's files in the store [bytes]."""
+        if name == CHAMPIONS:
+            return 0
+        source = SOURCES[name]
+        found = source.files(self.upstream[source.stage]).values()
+        return sum(one.files[table_file(source.schema)].n_bytes for manifests in found for one in manifests)
 
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -84,10 +85,13 @@ def test_figures_and_latex_are_there_and_settings_load(exported, settings):
     assert manifest["study"] == "tiny" and set(manifest["files"]) == files(exported).keys() - {"export.json"}
 
 
-def test_csv_has_a_column_for_each_element(recorded, tmp_path):
+def test_csv_has_a_column_for_each_element(recorded, tmp_path, capsys):
     to = ("--store", str(recorded), "--table", "histories")
     for kind in ("parquet", "csv"):
         assert call("export", "tiny", "--out", str(tmp_path / kind), *to, "--format", kind) == 0
+        n_bytes = (tmp_path / kind / "tables" / f"histories.{kind}").stat().st_size
+        announced = 1e6 * float(re.search(r"writing 1 tables, at most about ([\d.,]+) MB", capsys.readouterr().err)[1])
+        assert n_bytes <= announced + 1e5
     flat = pl.read_csv(tmp_path / "csv" / "tables" / "histories.csv", infer_schema_length=None)
     whole = pl.read_parquet(tmp_path / "parquet" / "tables" / "histories.parquet")
     assert whole.columns[:4] == [*KEYS, "generation"] and "mutation" in whole["operator"]
