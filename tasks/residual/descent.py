@@ -47,7 +47,7 @@ class Descent:
         Args:
             weights: weight_i (n_in, n_out) and bias_i (n_out,) of each layer i.
             rows: (n_rows, n_inputs + 6) standardised observations and residuals; 6 more columns weight the squared
-                errors.
+                errors. Of wetted networks (n_rows, n_inputs + 9), see :func:`tasks.residual.wetted.training_targets`.
             dropout: probability to drop a hidden unit from a sample.
             training: settings of the training.
             rng: generator of minibatches and dropped units.
@@ -83,6 +83,7 @@ class Descent:
                 width,
                 np.float32(1 / (1 - self._dropout)),
                 LossParameters(
+                    self._shapes[-1][1] // 3 * 3,
                     self._training.loss == "focal",
                     self._training.focal_alpha,
                     self._training.focal_s,
@@ -105,7 +106,7 @@ class Descent:
         return weights
 
     def predict(self, inputs: Float32) -> Float32:
-        """Map (n_rows, n_inputs) standardised observations to (n_rows, 6) standardised residuals, without dropout."""
+        """Map (n_rows, n_inputs) standardised observations to (n_rows, n_outputs) outputs, without dropout."""
         weights = self.weights()
         layers = range(len(self._shapes))
         matrices, biases = ([weights[f"{kind}_{i}"][None] for i in layers] for kind in ("weight", "bias"))

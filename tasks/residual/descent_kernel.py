@@ -18,7 +18,6 @@ import numpy as np
 
 from tasks.arrays import Float32, Float64, Int64
 from tasks.compiled import compiled, inline
-from tasks.residual.observation import STATE
 from tasks.simulation.networks.panels import padded
 from tasks.simulation.networks.tiles import (
     N_LANES,
@@ -40,7 +39,6 @@ N_SUMS = 16  # partial sums of a gradient: the lanes of the widest registers
 CHUNK = 256  # samples that pass through the network together, a multiple of N_SUMS and of a tile's
 _N_VECTORS = CHUNK // N_LANES
 _N_PARTS = N_SUMS // N_LANES  # vectors in a row whose products go to different partial sums
-_N_TARGETS = len(STATE)
 
 
 class NetworkMemory(NamedTuple):
@@ -57,7 +55,7 @@ class NetworkMemory(NamedTuple):
     transposed: Float32  # (n_parameters,) panels of the transposed weights, where those of the weights are
     values: Float32  # inputs and outputs of the layers, (_N_VECTORS, n_units, N_LANES) each
     errors: Float32  # (2, _N_VECTORS * widest layer * N_LANES) derivatives of the loss by outputs of a layer
-    targets: Float32  # (_N_VECTORS, n_targets, N_LANES) residuals, and weights of their squared errors
+    targets: Float32  # (_N_VECTORS, n_targets, N_LANES) residuals, weights of their squared errors, shares of a lift
     zeros: Float32  # (widest layer,) biases of the transposed layers
     ones: Float32  # (N_LANES,) the input whose weights are biases
 
@@ -65,6 +63,7 @@ class NetworkMemory(NamedTuple):
 class LossParameters(NamedTuple):
     """The loss and its parameters; see mean_loss in training.py."""
 
+    n_errors: int  # 6 residuals, or 3 of wetted networks, which have a fourth output
     focal: bool
     alpha: float
     s: float
@@ -154,21 +153,25 @@ def _drop(memory: NetworkMemory, layer: int, dropped: Int64, first_sample: int, 
 def _compare(memory: NetworkMemory, n: int, n_targets: int, loss: LossParameters, batch_size: int) -> float:
     """Write the derivatives of the mean loss by the network's outputs; return the sum of n samples' losses."""
     n_out, first = memory.sizes[-1], memory.first_value[-1]
+    n_errors, end = loss.n_errors, loss.n_errors * N_LANES
     error = memory.errors[(len(memory.sizes) - 2) % 2]
     total = 0.0
     for vector in range(_N_VECTORS):
         out, target = first + vector * n_out * N_LANES, vector * n_targets * N_LANES
         at = vector * n_out * N_LANES
         for i in range(n_out * N_LANES):
-            error[at + i] = memory.values[out + i] - memory.targets[target + i] if i < _N_TARGETS * N_LANES else 0.0
+            error[at + i] = memory.values[out + i] - memory.targets[target + i] if i < end else 0.0
+        if n_targets > 2 * n_errors:
+            for i in range(end):
+                error[at + i] += memory.targets[target + 2 * end + i] * memory.values[out + end + i % N_LANES]
         for lane in range(N_LANES):
             squared = np.float32(0)
-            for i in range(lane, _N_TARGETS * N_LANES, N_LANES):
+            for i in range(lane, end, N_LANES):
                 difference = error[at + i]
-                if n_targets > _N_TARGETS:
-                    error[at + i] *= memory.targets[target + _N_TARGETS * N_LANES + i]
+                if n_targets > n_errors:
+                    error[at + i] *= memory.targets[target + end + i]
                 squared += error[at + i] * difference
-            mean_square = squared / np.float32(_N_TARGETS)
+            mean_square = squared / np.float32(n_errors)
             value, slope = float(mean_square), 1.0
             if loss.focal:
                 fade = math.exp(-loss.s * value)
@@ -179,9 +182,12 @@ def _compare(memory: NetworkMemory, n: int, n_targets: int, loss: LossParameters
                 total += value
             else:
                 slope = 0.0
-            by_error = np.float32(slope * 2 / (_N_TARGETS * batch_size))
-            for i in range(lane, _N_TARGETS * N_LANES, N_LANES):
+            by_error = np.float32(slope * 2 / (n_errors * batch_size))
+            for i in range(lane, end, N_LANES):
                 error[at + i] *= by_error
+        if n_targets > 2 * n_errors:
+            for i in range(end):
+                error[at + end + i % N_LANES] += memory.targets[target + 2 * end + i] * error[at + i]
     return total
 
 

@@ -20,7 +20,9 @@ import torch
 from torch import Tensor
 
 from tasks.arrays import Float32
-from tasks.residual.observation import INPUTS, OBSERVATION, STATE, VELOCITIES, Observed, observe
+from tasks.residual.observation import INPUTS, NUMBERED, OBSERVATION, STATE, VELOCITIES, observe
+from tasks.residual.wetted import N_WETTED_OUTPUTS, WETTED, in_world_axes
+from tasks.simulation.networks.coupled import WETTED_FIELDS
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
@@ -36,16 +38,17 @@ class WeightsError(ValueError):
 class Ensemble:
     """Networks of one shape; the first axis of every array is the member."""
 
-    weights: tuple[Float32, ...]  # (n_members, n_in, n_out) for each layer, from observations to 3 velocity changes
+    weights: tuple[Float32, ...]  # (n_members, n_in, n_out) for each layer, from observations to 3 changes or 4 outputs
     biases: tuple[Float32, ...]  # (n_members, n_out) for each layer
-    inputs: tuple[Observed, ...] = OBSERVATION
+    inputs: tuple[str, ...] = OBSERVATION  # any of INPUTS, or WETTED
     device: str = "cpu"  # device of the networks: "cpu" selects the compiled kernel, any other name is torch's
 
     def __post_init__(self) -> None:
         n_members = self.weights[0].shape[:1]
         if n_members == (0,):
             raise WeightsError("an ensemble of 0 members, expected at least 1")
-        _check_layers(self.weights, self.biases, n_in=len(self.inputs), n_out=N_OUT, members=n_members)
+        n_out = N_OUT + (self.inputs == WETTED)
+        _check_layers(self.weights, self.biases, n_in=len(self.inputs), n_out=n_out, members=n_members)
 
     @staticmethod
     def from_members(members: Sequence[Mapping[str, Float32]], *, device: str = "cpu") -> Ensemble:
@@ -90,22 +93,16 @@ class Ensemble:
             raise ValueError(f"links of shape {shape}, expected ({self.n_members} members, ...)")
         observation = observe(vars(links), self.inputs)
         change = self.predict(observation.reshape(self.n_members, -1, len(self.inputs)))
+        if self.inputs == WETTED:
+            change = in_world_axes(observation.reshape(*change.shape[:-1], -1), change)
         vx, vy, omega = np.moveaxis(change.astype(links.y.dtype, copy=False), -1, 0)
         return VelocityChange(vx=vx.reshape(shape), vy=vy.reshape(shape), omega=omega.reshape(shape))
 
-    def observed(self, observation: Float32) -> Float32:
-        """Extend (n_rows, 6) observations of the paper to what each member observes, (n_members, n_rows, n_inputs).
-
-        The sign of sin θ is not known from them and is taken to be positive.
-        """
-        a, y, cos, vx, vy, omega = observation.T
-        sin = np.sqrt(np.maximum(1 - cos * cos, 0))
-        quantities = {"length_scale": a, "y": y, "cos": cos, "sin": sin, "vx": vx, "vy": vy, "omega": omega}
-        rows = observe(quantities, self.inputs)
-        return np.broadcast_to(rows, (self.n_members, *rows.shape))
-
     def predict(self, observation: Float32) -> Float32:
-        """Map (n_members, n_rows, n_inputs) observations to (n_members, n_rows, 3) changes of vx, vy, ω in a step."""
+        """Map (n_members, n_rows, n_inputs) observations to (n_members, n_rows, n_outputs) outputs.
+
+        They are changes of vx, vy, ω in a step, or the 4 of :mod:`tasks.residual.wetted`.
+        """
         if self.networks is not None:
             return self.networks.forward(observation)
         return self.predict_with_torch(observation)
@@ -127,6 +124,8 @@ class Ensemble:
         """Networks of the compiled kernel; None where torch is used instead."""
         if self.device != "cpu" or numba.config.DISABLE_JIT:
             return None
+        if self.inputs == WETTED:
+            return PackedNetworks(self.weights, self.biases, WETTED_FIELDS, wetted=True)
         return PackedNetworks(self.weights, self.biases, tuple(INPUTS[name] for name in self.inputs))
 
     @cached_property
@@ -142,11 +141,14 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
     """Fold a member's standardisation into its first and last layers; compute in float64."""
     whose = f"member {k}"
     n_layers = _count_layers(member, whose)
-    n_in = len(_inputs(member, whose))
+    inputs = _inputs(member, whose)
+    n_in, n_out, applied = len(inputs), len(STATE), VELOCITIES
+    if inputs == WETTED:
+        n_out, applied = N_WETTED_OUTPUTS, slice(None)
     for name in _SCALES:
-        _check(f"{whose}: {name}", member[name], (n_in if name.startswith("observation") else len(STATE),))
+        _check(f"{whose}: {name}", member[name], (n_in if name.startswith("observation") else n_out,))
     layers = [member[f"weight_{i}"] for i in range(n_layers)], [member[f"bias_{i}"] for i in range(n_layers)]
-    _check_layers(*layers, n_in=n_in, n_out=len(STATE), whose=f"{whose}: ")
+    _check_layers(*layers, n_in=n_in, n_out=n_out, whose=f"{whose}: ")
     weights, biases = ([array.astype(np.float64) for array in arrays] for arrays in layers)
 
     # W ((o - mean) / deviation) + b = (W / deviation) o + (b - W mean / deviation)
@@ -155,20 +157,19 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
     )
     weights[0] = weights[0] / observation_deviation[:, None]
     biases[0] = biases[0] - (observation_mean[:, None] * weights[0]).sum(axis=0)  # in the same order everywhere
-    weights[-1] = (weights[-1] * residual_deviation)[:, VELOCITIES]
-    biases[-1] = (biases[-1] * residual_deviation + residual_mean)[VELOCITIES]
+    weights[-1] = (weights[-1] * residual_deviation)[:, applied]
+    biases[-1] = (biases[-1] * residual_deviation + residual_mean)[applied]
     return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)]
 
 
-def _inputs(member: Mapping[str, Float32], whose: str) -> tuple[Observed, ...]:
+def _inputs(member: Mapping[str, Float32], whose: str) -> tuple[str, ...]:
     """Return what a member observes: its array of numbers in the table of inputs, or the paper's six."""
     if "inputs" not in member:
         return OBSERVATION
-    known = list(INPUTS)
     numbers = np.asarray(member["inputs"])
-    if numbers.ndim != 1 or not np.isin(numbers, np.arange(len(known))).all():
-        raise WeightsError(f"{whose}: inputs is {numbers.tolist()}, expected numbers from 0 to {len(known) - 1}")
-    return tuple(known[int(number)] for number in numbers)
+    if numbers.ndim != 1 or not np.isin(numbers, np.arange(len(NUMBERED))).all():
+        raise WeightsError(f"{whose}: inputs is {numbers.tolist()}, expected numbers from 0 to {len(NUMBERED) - 1}")
+    return tuple(NUMBERED[int(number)] for number in numbers)
 
 
 def _count_layers(arrays: Mapping[str, Float32], whose: str) -> int:

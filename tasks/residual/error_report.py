@@ -45,8 +45,8 @@ def error_rows(predicted: Floats, true: Floats, speed: Floats) -> tuple[ErrorRow
     """Return the errors of predicted residuals by speed band and component.
 
     Args:
-        predicted: (n_rows, 6) predicted residuals, in the order of STATE.
-        true: (n_rows, 6) true residuals.
+        predicted: (n_rows, 6) predicted residuals in the order of STATE, or (n_rows, 3) of the velocities alone.
+        true: (n_rows, 6) or (n_rows, 3) true residuals.
         speed: (n_rows,) |v| at the start of the step [m/s].
     """
     # In float64, because a bias is a small difference of large sums.
@@ -55,7 +55,7 @@ def error_rows(predicted: Floats, true: Floats, speed: Floats) -> tuple[ErrorRow
     rows = []
     for band, low, high in BANDS:
         inside = (low <= speed) & (speed < high)
-        for i, component in enumerate(STATE):
+        for i, component in enumerate(STATE[-true.shape[1] :]):
             rows.append(_error_row(component, band, error[inside, i], true[inside, i]))
     return tuple(rows)
 

@@ -4,12 +4,14 @@
 """
 
 import math
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from tasks.parameters import Parameters, later_choice
 from tasks.residual.observation import OBSERVATION, STATE, Observed
+from tasks.residual.wetted import N_WETTED_OUTPUTS, WETTED
 
 
 class Architecture(Parameters):
@@ -24,16 +26,32 @@ class Architecture(Parameters):
     observation: Annotated[tuple[Observed, ...], Field(min_length=1)] = later_choice(OBSERVATION)
     """Inputs: by default the six of the paper [P]. Magnitudes (speed, abs_omega, abs_sin_angle) make small networks
     more accurate, because drag grows with |v| v and |ω| ω. sin_angle is for media that push a tilted plate sideways."""
+    form: Literal["plain", "wetted"] = later_choice("plain")
+    """What networks know of links: nothing [P], or "wetted", which part is under water. The latter need several times
+    fewer throws, of a fluid that does not flow: they learn from the mirror image of every throw, too."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What the networks observe."""
+        return WETTED if self.form == "wetted" else self.observation
+
+    @property
+    def sizes(self) -> list[int]:
+        """Numbers of inputs, of units in each hidden layer, and of outputs."""
+        n_outputs = N_WETTED_OUTPUTS if self.form == "wetted" else len(STATE)
+        return [len(self.inputs), *[self.width] * self.hidden_layers, n_outputs]
 
     @property
     def n_weights(self) -> int:
         """Weights of the matrices, without biases: the multiplications that one prediction takes."""
-        return self.width * (len(self.observation) + (self.hidden_layers - 1) * self.width + len(STATE))
+        return sum(n_in * n_out for n_in, n_out in pairwise(self.sizes))
 
     @model_validator(mode="after")
-    def _inputs_differ(self) -> Self:
+    def _inputs_agree(self) -> Self:
         if len(set(self.observation)) != len(self.observation):
             raise ValueError("observation repeats an input, expected each once")
+        if self.form == "wetted" and self.observation != OBSERVATION:
+            raise ValueError("observation is given, but the form wetted has inputs of its own: expected the form plain")
         return self
 
 

@@ -10,12 +10,14 @@ from numpy.random import Generator
 
 from tasks.arrays import Float32
 from tasks.residual.hyperparameters import Architecture
-from tasks.residual.observation import STATE
+
+# No warnings for data that are not finite: training reports that it diverged.
+_quietly = np.errstate(invalid="ignore", over="ignore")
 
 
 @dataclass(frozen=True, eq=False)
 class Standardisation:
-    """Means and deviations of the training set's observations (n_inputs,) and residuals (6,) in their units."""
+    """Means and deviations of the training set's observations (n_inputs,) and outputs (n_outputs,) in their units."""
 
     observation_mean: Float32
     observation_deviation: Float32
@@ -28,35 +30,28 @@ class Standardisation:
 
         Args:
             observation: (n_rows, n_inputs) observations.
-            residual: (n_rows, 6) residuals in the order of STATE.
+            residual: (n_rows, 6) residuals in the order of STATE, or (n_rows, 4) of wetted links.
             standardise_targets: whether to standardise residuals; they keep SI units otherwise.
         """
         observation_mean, observation_deviation = _moments(observation)
-        residual_mean, residual_deviation = np.zeros(len(STATE), np.float32), np.ones(len(STATE), np.float32)
+        residual_mean, residual_deviation = np.zeros_like(residual[0]), np.ones_like(residual[0])
         if standardise_targets:
             residual_mean, residual_deviation = _moments(residual)
         return Standardisation(observation_mean, observation_deviation, residual_mean, residual_deviation)
 
+    @_quietly
     def standard_observation(self, observation: Float32) -> Float32:
         """Standardise (n_rows, n_inputs) observations."""
-        return _standard(observation, self.observation_mean, self.observation_deviation)
+        return (observation - self.observation_mean) / self.observation_deviation
 
+    @_quietly
     def standard_residual(self, residual: Float32) -> Float32:
-        """Standardise (n_rows, 6) residuals."""
-        return _standard(residual, self.residual_mean, self.residual_deviation)
+        """Standardise (n_rows, n_outputs) residuals."""
+        return (residual - self.residual_mean) / self.residual_deviation
 
     def residual(self, standard: Float32) -> Float32:
-        """Convert (n_rows, 6) standardised residuals to SI units."""
+        """Convert (n_rows, n_outputs) standardised outputs to SI units."""
         return standard * self.residual_deviation + self.residual_mean
-
-
-# No warnings for data that are not finite: training reports that it diverged.
-_quietly = np.errstate(invalid="ignore", over="ignore")
-
-
-@_quietly
-def _standard(rows: Float32, mean: Float32, deviation: Float32) -> Float32:
-    return (rows - mean) / deviation
 
 
 @_quietly
@@ -76,9 +71,8 @@ def initial_weights(architecture: Architecture, rng: Generator) -> dict[str, Flo
         architecture: the network's size.
         rng: generator.
     """
-    sizes = [len(architecture.observation), *[architecture.width] * architecture.hidden_layers, len(STATE)]
     weights: dict[str, Float32] = {}
-    for i, (n_in, n_out) in enumerate(pairwise(sizes)):
+    for i, (n_in, n_out) in enumerate(pairwise(architecture.sizes)):
         bound = n_in**-0.5
         weights[f"weight_{i}"] = rng.uniform(-bound, bound, (n_in, n_out)).astype(np.float32)
         weights[f"bias_{i}"] = rng.uniform(-bound, bound, n_out).astype(np.float32)

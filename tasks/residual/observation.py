@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from tasks.arrays import Float32, Floats
+from tasks.residual.wetted import WETTED, wetted_inputs
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
@@ -19,7 +20,7 @@ Observed = Literal["a", "y", "cos_angle", "vx", "vy", "omega", "sin_angle", "spe
 OBSERVATION: tuple[Observed, ...] = ("a", "y", "cos_angle", "vx", "vy", "omega")
 """Components of a network's input in the paper [m, m, 1, m/s, m/s, rad/s]."""
 
-INPUTS: Mapping[Observed, tuple[bool, tuple[str, ...]]] = {
+INPUTS: Mapping[str, tuple[bool, tuple[str, ...]]] = {
     "a": (False, ("length_scale",)),
     "y": (False, ("y",)),
     "cos_angle": (False, ("cos",)),
@@ -31,13 +32,15 @@ INPUTS: Mapping[Observed, tuple[bool, tuple[str, ...]]] = {
     "abs_omega": (True, ("omega",)),
     "abs_sin_angle": (True, ("sin",)),
 }
-"""Every possible input: whether it is a magnitude, and of which fields of LinkStates. New ones are added at the end,
-because weights name their inputs by number."""
+"""Every possible input of plain networks: whether it is a magnitude, and of which fields of LinkStates."""
+
+NUMBERED = tuple(dict.fromkeys((*INPUTS, *WETTED)))
+"""Inputs by the numbers that stored weights name them by; new ones are added at the end."""
 
 VELOCITIES = slice(3, 6)  # components of a residual that are applied; positions follow by integration
 
 
-def observe(quantities: Mapping[str, Floats], inputs: Sequence[Observed] = OBSERVATION) -> Float32:
+def observe(quantities: Mapping[str, Floats], inputs: Sequence[str] = OBSERVATION) -> Float32:
     """Return (..., n_inputs) observations of link states.
 
     A state that is not finite, or too large for float32, gives an observation that is not finite and no error, because
@@ -45,13 +48,15 @@ def observe(quantities: Mapping[str, Floats], inputs: Sequence[Observed] = OBSER
 
     Args:
         quantities: arrays of one shape (...) by the name of a field of :class:`tasks.world.LinkStates`.
-        inputs: what to observe.
+        inputs: what to observe: any of INPUTS, or WETTED.
     """
     with np.errstate(over="ignore", invalid="ignore"):
+        if tuple(inputs) == WETTED:
+            return wetted_inputs(quantities)
         return np.stack([_input(quantities, name) for name in inputs], axis=-1)
 
 
-def _input(quantities: Mapping[str, Floats], name: Observed) -> Float32:
+def _input(quantities: Mapping[str, Floats], name: str) -> Float32:
     """Compute one input in float32, with the roundings of the kernel in tasks/simulation/networks/coupled.py."""
     is_magnitude, fields = INPUTS[name]
     values = [np.asarray(quantities[field]).astype(np.float32) for field in fields]

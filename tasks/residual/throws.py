@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.design import GENES
 from tasks.parameters import Parameters, later_choice
-from tasks.residual.observation import OBSERVATION, STATE, Observed, observe
+from tasks.residual.observation import OBSERVATION, STATE, observe
 from tasks.residual.robot_ranges import RobotRanges, robot_ranges
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
@@ -126,7 +126,7 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.throw)
 
-    def observed(self, inputs: Sequence[Observed]) -> Float32:
+    def observed(self, inputs: Sequence[str]) -> Float32:
         """Return (n_transitions, n_inputs) observations."""
         if tuple(inputs) == OBSERVATION:
             return self.observation

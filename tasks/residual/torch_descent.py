@@ -13,7 +13,7 @@ from torch.optim.adamw import adamw
 from tasks.arrays import Float32, Float64
 from tasks.residual.descent_kernel import BETA_1, BETA_2, EPSILON
 from tasks.residual.hyperparameters import Training, learning_rate
-from tasks.residual.observation import STATE
+from tasks.residual.wetted import lifted
 
 
 class TorchDescent:
@@ -73,7 +73,7 @@ class TorchDescent:
         return weights
 
     def predict(self, inputs: Float32) -> Float32:
-        """Map (n_rows, n_inputs) standardised observations to (n_rows, 6) standardised residuals, without dropout."""
+        """Map (n_rows, n_inputs) standardised observations to (n_rows, n_outputs) outputs, without dropout."""
         with torch.inference_mode(), deterministic(self._device):
             return self._forward(torch.from_numpy(inputs).to(self._device), 0.0).cpu().numpy()
 
@@ -91,11 +91,13 @@ def mean_loss(training: Training, predicted: Tensor, targets: Tensor) -> Tensor:
 
     Args:
         training: the loss and its parameters.
-        predicted: (n_rows, 6) predicted residuals.
-        targets: (n_rows, 6) residuals; 6 more columns weight their squared errors.
+        predicted: (n_rows, n_outputs) outputs.
+        targets: (n_rows, n_columns) targets, with the columns of :func:`tasks.residual.training.mean_loss`.
     """
-    squared = (predicted - targets[:, : len(STATE)]).square()
-    weight = targets[:, len(STATE) :]
+    predicted = lifted(predicted, targets)
+    n = predicted.shape[1]
+    squared = (predicted - targets[:, :n]).square()
+    weight = targets[:, n : 2 * n]
     L_mse = (weight * squared if weight.shape[1] else squared).mean(dim=1)
     if training.loss == "mse":
         return L_mse.mean()

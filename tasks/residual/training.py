@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from tasks.arrays import Float32, Float64
@@ -16,10 +15,11 @@ from tasks.residual.descent import Descent
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import Standardisation, initial_weights
-from tasks.residual.observation import INPUTS, OBSERVATION, STATE, Observed
+from tasks.residual.observation import NUMBERED, OBSERVATION, VELOCITIES
 from tasks.residual.throws import MeasuredTransitions, Transitions
 from tasks.residual.torch_descent import TorchDescent, n_cuda_devices
 from tasks.residual.validation import split_throws
+from tasks.residual.wetted import in_link_axes, in_world_axes, lifted, symmetric_copies, training_targets
 from tasks.seeding import generator
 
 _N_CURVE_POINTS = 100  # approximate number of points of a learning curve
@@ -40,7 +40,7 @@ class TrainedMember:
 
     weights: dict[str, Float32]  # weight_i (n_in, n_out), bias_i (n_out,) of each layer i, for standardised quantities
     standardisation: Standardisation  # standardisation of the training set
-    inputs: tuple[Observed, ...]  # what the network observes
+    inputs: tuple[str, ...]  # what the network observes
     learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
     validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units
 
@@ -48,7 +48,7 @@ class TrainedMember:
         """Return all that inference needs by name: weights, standardisation, and inputs if not the paper's."""
         arrays = {**self.weights, **asdict(self.standardisation)}
         if self.inputs != OBSERVATION:
-            arrays["inputs"] = np.array([list(INPUTS).index(name) for name in self.inputs], np.float32)
+            arrays["inputs"] = np.array([NUMBERED.index(name) for name in self.inputs], np.float32)
         return arrays
 
 
@@ -73,11 +73,14 @@ def mean_loss(training: Training, predicted: Float32, targets: Float32) -> float
 
     Args:
         training: the loss and its parameters.
-        predicted: (n_rows, 6) predicted residuals φ(o).
-        targets: (n_rows, 6) true residuals e; 6 more columns weight their squared errors, where they are uncertain.
+        predicted: (n_rows, 6) predicted residuals φ(o), or (n_rows, 4) outputs.
+        targets: (n_rows, 6) true residuals e; 6 more columns weight their squared errors, where they are uncertain. Of
+            wetted networks, see :func:`tasks.residual.wetted.training_targets`.
     """
-    squared = np.square(predicted.astype(np.float64) - targets[:, : len(STATE)])
-    weight = targets[:, len(STATE) :]
+    predicted = lifted(predicted.astype(np.float64), targets)
+    n = predicted.shape[1]
+    squared = np.square(predicted - targets[:, :n])
+    weight = targets[:, n : 2 * n]
     L_mse = (weight * squared if weight.shape[1] else squared).mean(axis=1)
     if training.loss == "mse":
         return float(L_mse.mean())
@@ -106,38 +109,53 @@ def train_member(
         built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
         raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
     to_learn, to_validate = map(np.flatnonzero, split_throws(transitions.throw, training.held_out, seed=seed))
-    observed = transitions.observed(architecture.observation)
-    standardisation = Standardisation.of(
-        observed[to_learn], transitions.residual[to_learn], standardise_targets=training.standardise_targets
-    )
+    examples = _examples(transitions, architecture)
+    learned, held_out = (tuple(array[rows] for array in examples) for rows in (to_learn, to_validate))
+    if architecture.form == "wetted":
+        learned = symmetric_copies(*learned)
+    standardisation = Standardisation.of(*learned[:2], standardise_targets=training.standardise_targets)
 
-    weights = None
-    if isinstance(transitions, MeasuredTransitions):
-        weights = precision_weights(transitions.residual, transitions.residual_sd)
-
-    def standardised(rows: npt.NDArray[np.intp]) -> Float32:
-        observation = standardisation.standard_observation(observed[rows])
-        residual = standardisation.standard_residual(transitions.residual[rows])
-        weight = [] if weights is None else [weights[rows]]
-        return np.concatenate((observation, residual, *weight), axis=1)
+    def standardised(observed: Float32, residual: Float32, weights: Float32) -> Float32:
+        standard = standardisation.standard_residual(residual)
+        targets: tuple[Float32, ...] = standard, weights
+        if architecture.form == "wetted":
+            targets = training_targets(observed, standard, weights, standardisation.residual_deviation)
+        return np.concatenate((standardisation.standard_observation(observed), *targets), axis=1)
 
     rng = generator(seed, "member", member)
     by_torch = training.device == "cuda" or numba.config.DISABLE_JIT
     descent = (TorchDescent if by_torch else Descent)(
-        initial_weights(architecture, rng), standardised(to_learn), architecture.dropout, training, rng
+        initial_weights(architecture, rng), standardised(*learned), architecture.dropout, training, rng
     )
-    validation_set = standardised(to_validate)
+    validation_set = standardised(*held_out)
     curve = _learn(descent, validation_set, training, member)
-    predicted = descent.predict(validation_set[:, : observed.shape[1]])
+    predicted = standardisation.residual(descent.predict(validation_set[:, : descent.n_inputs]))
+    if architecture.form == "wetted":
+        predicted = in_world_axes(held_out[0], predicted)
 
+    true = transitions.residual[to_validate, -predicted.shape[1] :]
     vx, vy = transitions.state[to_validate, 3], transitions.state[to_validate, 4]
     return TrainedMember(
         weights=descent.weights(),
         standardisation=standardisation,
-        inputs=architecture.observation,
+        inputs=architecture.inputs,
         learning_curve=curve,
-        validation=error_rows(standardisation.residual(predicted), transitions.residual[to_validate], np.hypot(vx, vy)),
+        validation=error_rows(predicted, true, np.hypot(vx, vy)),
     )
+
+
+def _examples(transitions: Transitions, architecture: Architecture) -> tuple[Float32, Float32, Float32]:
+    """Return inputs, residuals in the axes of the networks' form, and weights of squared errors, if not all are 1."""
+    observed, residual = transitions.observed(architecture.inputs), transitions.residual
+    weights = np.empty((len(residual), 0), np.float32)
+    if architecture.form == "wetted":
+        residual = in_link_axes(observed, residual[:, VELOCITIES])
+        weights = np.ones((len(residual), 3), np.float32)
+    if isinstance(transitions, MeasuredTransitions):
+        weights = precision_weights(transitions.residual, transitions.residual_sd)
+        if architecture.form == "wetted":
+            weights = weights[:, VELOCITIES]  # a camera sees x and y alike, so those along and across the link, too
+    return observed, residual, weights
 
 
 def _learn(descent: Descent | TorchDescent, validation_set: Float32, training: Training, member: int) -> Float64:

@@ -9,6 +9,8 @@ from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, 
 from links_in_box2d import ReferenceFreeLinks
 
 from tasks.design import random_designs
+from tasks.residual.observation import OBSERVATION
+from tasks.residual.wetted import WETTED
 from tasks.simulation import batch, free_links
 from tasks.simulation.box2d import Column
 from tasks.simulation.simd import rotation
@@ -95,9 +97,12 @@ def test_residual_slush(depth: float, same_libm: None, seed: int) -> None:
 
 
 @pytest.mark.parametrize("trace", [True, False])
-def test_residual_slush_of_networks(trace: bool, same_libm: None, seed: int) -> None:
+@pytest.mark.parametrize(("inputs", "depth"), [(OBSERVATION, 0.7), (WETTED, 0.7), (WETTED, 0.0), (WETTED, 4.0)])
+def test_residual_slush_of_networks(
+    inputs: tuple[str, ...], depth: float, trace: bool, same_libm: None, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
-    designs, environment = random_designs(13, rng), ResidualSlush(0.7, networks(rng))
+    designs, environment = random_designs(13, rng), ResidualSlush(depth, networks(rng, inputs))
     assert_equal(designs, environment, Physics(), n_settle=30, n_measure=270, trace=trace)
 
 

@@ -8,6 +8,8 @@ import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 
 from tasks.design import Morphology, random_designs
+from tasks.residual.observation import OBSERVATION
+from tasks.residual.wetted import WETTED
 from tasks.simulation import batch
 from tasks.simulation.box2d import Column
 from tasks.simulation.simd.rotation import NEAR
@@ -78,9 +80,12 @@ def test_residual_slush(variant, same_libm: None, seed: int) -> None:
 
 
 @pytest.mark.parametrize("trace", [True, False])
-def test_residual_slush_of_networks(trace: bool, variant, same_libm: None, seed: int) -> None:
+@pytest.mark.parametrize(("inputs", "depth"), [(OBSERVATION, 0.7), (WETTED, 0.7), (WETTED, 0.0), (WETTED, 4.0)])
+def test_residual_slush_of_networks(
+    inputs: tuple[str, ...], depth: float, trace: bool, variant, same_libm: None, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
-    designs, environment = random_designs(9, rng), ResidualSlush(0.7, networks(rng))
+    designs, environment = random_designs(9, rng), ResidualSlush(depth, networks(rng, inputs))
     assert_equal(designs, environment, Physics(**variant), n_settle=30, n_measure=170, trace=trace)
 
 

@@ -22,8 +22,13 @@ from tasks.simulation.networks.inference import PackedNetworks, run_networks
 from tasks.simulation.networks.tiles import N_LANES
 from tasks.simulation.simd.lanes import Block, as_block, sqrt
 from tasks.simulation.trees import layout
+from tasks.simulation.trees.step import immersion, submerged_part
 
 _VALUE, _MAGNITUDE, _MAGNITUDE_OF_TWO = 0, 1, 2  # codes of inputs: q, |q| and √(q² + p²)
+_ONE, _TWELVE = np.float32(1), np.float32(12)
+
+WETTED_FIELDS = tuple((False, (name,)) for name in ("length_scale", "y", "cos", "sin", "vx", "vy", "omega"))
+"""What wetted networks read."""
 
 
 class LinkCopies(NamedTuple):
@@ -42,7 +47,8 @@ class Coupling(NamedTuple):
 
     whole: LinkCopies  # copies of N_LANES links that are neighbours in both
     single: LinkCopies  # copies of all other links
-    observed: Int64  # (n_inputs, 3) what networks read: one of the codes below, and first rows of its quantities
+    observed: Int64  # (n_read, 3) what networks read: one of the codes above, and first rows of its quantities
+    wetted: bool  # whether the networks are of the wetted form, see tasks/residual/wetted.py
     layers: Int64  # this field and those below are arguments of the networks' kernel, in inference.py
     sizes: Int64
     x: Float32
@@ -96,6 +102,7 @@ def couple(
         observed=np.array(
             [_code(is_magnitude, fields, quantities) for is_magnitude, fields in networks.inputs], np.int64
         ),
+        wetted=networks.wetted,
         layers=networks.layers,
         sizes=networks.sizes,
         x=x,
@@ -111,8 +118,32 @@ def _code(is_magnitude: bool, fields: tuple[str, ...], quantities: Mapping[str, 
 
 
 @inline
-def _read(copies: LinkCopies, observed: Int64) -> None:
+def _read_wetted(copies: LinkCopies, observed: Int64) -> None:
+    """Compute the inputs of wetted networks, as tasks.residual.wetted.wetted_inputs does."""
+    robots, x, stride, n = copies.robots, copies.x, copies.quantity, copies.number
+    for copy in range(copies.rows.shape[0]):
+        robot, k = copies.rows[copy, 0], copies.rows[copy, 1]
+        a, y = robots[robot + observed[0, 1] * stride], robots[robot + observed[1, 1] * stride]
+        cos, sin = robots[robot + observed[2, 1] * stride], robots[robot + observed[3, 1] * stride]
+        vx, vy = robots[robot + observed[4, 1] * stride], robots[robot + observed[5, 1] * stride]
+        omega = robots[robot + observed[6, 1] * stride]
+        width = _ONE / a
+        rise_short, rise_long, depth = immersion(a, width, y, cos, sin)
+        area, second_moment = submerged_part(a, width, rise_short, rise_long, depth)
+        share = second_moment * _TWELVE / (width * width + a * a)
+        along, across = cos * vy - sin * vx, cos * vx + sin * vy
+        x[k], x[k + n], x[k + 2 * n], x[k + 3 * n] = area, share, cos, sin
+        x[k + 4 * n], x[k + 5 * n], x[k + 6 * n], x[k + 7 * n], x[k + 8 * n] = along, across, omega, y, a
+        x[k + 9 * n], x[k + 10 * n] = sqrt(along * along + across * across), abs(omega)
+        x[k + 11 * n], x[k + 12 * n] = abs(along) * along, abs(across) * across
+
+
+@inline
+def _read(copies: LinkCopies, observed: Int64, wetted: bool) -> None:
     """Copy the links' states, or magnitudes of them, to the networks' inputs."""
+    if wetted:
+        _read_wetted(copies, observed)
+        return
     for copy in range(copies.rows.shape[0]):
         robot, x = copies.rows[copy, 0], copies.rows[copy, 1]
         for k in range(observed.shape[0]):
@@ -126,8 +157,26 @@ def _read(copies: LinkCopies, observed: Int64) -> None:
 
 
 @inline
-def _add(copies: LinkCopies, to_vx: int, to_vy: int, to_omega: int) -> None:
+def _add_wetted(copies: LinkCopies, to_vx: int, to_vy: int, to_omega: int) -> None:
+    """Add the outputs of wetted networks, as tasks.residual.wetted.in_world_axes does."""
+    robots, stride, n = copies.robots, copies.quantity, copies.number
+    for copy in range(copies.rows.shape[0]):
+        robot, x, change = copies.rows[copy, 0], copies.rows[copy, 1], copies.rows[copy, 2]
+        area, share, cos, sin = copies.x[x], copies.x[x + n], copies.x[x + 2 * n], copies.x[x + 3 * n]
+        along, across = area * copies.out[change], area * copies.out[change + n]
+        turn, lift = share * copies.out[change + 2 * n], area * copies.out[change + 3 * n]
+        vx, vy, omega = robot + to_vx * stride, robot + to_vy * stride, robot + to_omega * stride
+        robots[vx] = robots[vx] + (cos * across - sin * along)
+        robots[vy] = robots[vy] + ((sin * across + cos * along) + lift)
+        robots[omega] = robots[omega] + turn
+
+
+@inline
+def _add(copies: LinkCopies, to_vx: int, to_vy: int, to_omega: int, wetted: bool) -> None:
     """Add the networks' outputs to the links' quantities."""
+    if wetted:
+        _add_wetted(copies, to_vx, to_vy, to_omega)
+        return
     for copy in range(copies.rows.shape[0]):
         robot, change = copies.rows[copy, 0], copies.rows[copy, 2]
         for to in (to_vx, to_vy, to_omega):
@@ -143,10 +192,10 @@ def push(coupling: Coupling, to_vx: int, to_vy: int, to_omega: int) -> None:
     ``to_vx``, ``to_vy`` and ``to_omega`` are the first rows of what the changes are added to.
     """
     x, out = coupling.x, coupling.out
-    _read(coupling.whole, coupling.observed)
-    _read(coupling.single, coupling.observed)
+    _read(coupling.whole, coupling.observed, coupling.wetted)
+    _read(coupling.single, coupling.observed, coupling.wetted)
     run_networks(
         coupling.layers, coupling.sizes, x.shape[1], x.ctypes.data, out.ctypes.data, coupling.between.ctypes.data
     )
-    _add(coupling.whole, to_vx, to_vy, to_omega)
-    _add(coupling.single, to_vx, to_vy, to_omega)
+    _add(coupling.whole, to_vx, to_vy, to_omega, coupling.wetted)
+    _add(coupling.single, to_vx, to_vy, to_omega, coupling.wetted)

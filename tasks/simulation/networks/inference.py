@@ -69,7 +69,11 @@ class PackedNetworks:
     """Networks of one shape, with their weights in the kernel's memory layout."""
 
     def __init__(
-        self, weights: Sequence[Float32], biases: Sequence[Float32], inputs: tuple[tuple[bool, tuple[str, ...]], ...]
+        self,
+        weights: Sequence[Float32],
+        biases: Sequence[Float32],
+        inputs: tuple[tuple[bool, tuple[str, ...]], ...],
+        wetted: bool = False,
     ) -> None:
         """Pack the weights of networks with ReLU after every layer but the last.
 
@@ -78,9 +82,10 @@ class PackedNetworks:
             biases: (n_members, n_out) of each layer.
             inputs: what the first layer reads, in order: whether it is a magnitude, and of which one or two fields of
                 :class:`tasks.world.LinkStates`.
+            wetted: whether the networks are of the wetted form; their inputs are then computed from those read.
         """
-        self._source = tuple(weights), tuple(biases), inputs
-        self.inputs = inputs
+        self._source = tuple(weights), tuple(biases), inputs, wetted
+        self.inputs, self.wetted = inputs, wetted
         self.n_members, self._n_in, _ = weights[0].shape
         self._n_out = weights[-1].shape[2]
         sizes = [self._n_in, *(padded(weight.shape[2]) for weight in weights)]

@@ -96,6 +96,24 @@ def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Nu
 
 
 @inline
+def submerged_part(
+    length: Numeric, width: Numeric, rise_short: Numeric, rise_long: Numeric, depth: Numeric
+) -> tuple[Numeric, Numeric]:
+    """Return the submerged area [m²] and its second moment [m⁴] by a link's :func:`immersion`; as in slush.py."""
+    per_short = _HALF / select(rise_short > _TINY, rise_short, _TINY)
+    per_long = _HALF / select(rise_long > _TINY, rise_long, _TINY)
+    t1, t2 = _share(depth * per_short), _share(depth * per_long)
+    t3, t4 = _share((depth - _TWO * rise_short) * per_long), _share((depth - _TWO * rise_long) * per_short)
+    area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / _TWO
+    p1, p4 = _TWO * t1 - _ONE, _TWO * t4 - _ONE
+    q3, q2 = _TWO * t3 - _ONE, _TWO * t2 - _ONE
+    across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / _FOUR)
+    along = length * length * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / _FOUR)
+    second_moment = (across + along) / _TWENTY_FOUR
+    return area, select(second_moment > 0.0, second_moment, _ZERO)
+
+
+@inline
 def slush_change(
     length: Numeric,
     width: Numeric,
@@ -111,18 +129,7 @@ def slush_change(
 
     ``rise_short``, ``rise_long`` and ``depth`` [m], above 0, are those of :func:`immersion`.
     """
-    per_short = _HALF / select(rise_short > _TINY, rise_short, _TINY)
-    per_long = _HALF / select(rise_long > _TINY, rise_long, _TINY)
-    t1, t2 = _share(depth * per_short), _share(depth * per_long)
-    t3, t4 = _share((depth - _TWO * rise_short) * per_long), _share((depth - _TWO * rise_long) * per_short)
-    area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / _TWO
-    p1, p4 = _TWO * t1 - _ONE, _TWO * t4 - _ONE
-    q3, q2 = _TWO * t3 - _ONE, _TWO * t2 - _ONE
-    across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / _FOUR)
-    along = length * length * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / _FOUR)
-    second_moment = (across + along) / _TWENTY_FOUR
-    second_moment = select(second_moment > 0.0, second_moment, _ZERO)
-
+    area, second_moment = submerged_part(length, width, rise_short, rise_long, depth)
     vx, vy, omega = velocity
     k_dt = scene.drag * area / mass
     k_r_dt = scene.angular_drag * second_moment / inertia

@@ -6,6 +6,7 @@ import pytest
 from both_engines import Slushes, assert_equal_in_plain_python, networks
 
 from tasks.design import Designs, random_designs
+from tasks.residual.wetted import WETTED
 from tasks.simulation import DIVERGED, OK, batch, simulate
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import step
@@ -39,6 +40,7 @@ ENVIRONMENTS = [
     TrueSlush(1.0),
     ResidualSlush(1.0, Poisonous()),
     ResidualSlush(0.7, networks(np.random.default_rng(9))),
+    ResidualSlush(0.7, networks(np.random.default_rng(9), WETTED)),
 ]
 
 
@@ -53,7 +55,7 @@ def test_as_many_populations_are_batched_as_fill_the_groups_that_are_stepped_tog
 
 @compiled_only
 @either_engine
-@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=["dry", "slush", "slushes", "networks"])
+@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=["dry", "slush", "slushes", "networks", "wetted"])
 def test_every_order_size_and_number_of_lanes_gives_the_same_bits(designs: Designs, environment: Environment, physics):
     """With a trace, and in one kernel without it, as in a study."""
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tasks.design import random_designs
 from tasks.residual.observation import INPUTS, OBSERVATION
+from tasks.residual.wetted import WETTED
 from tasks.simulation.batch import scene_of
 from tasks.simulation.networks.tiles import N_LANES
 from tasks.simulation.simd.lanes import widest
@@ -24,11 +25,12 @@ PHYSICS = Physics()
 @given(
     n_designs=st.integers(1, 3 * N_LANES),
     n_lanes=st.sampled_from([widest(), widest() // 2, 1]),
-    inputs=st.sampled_from([OBSERVATION, tuple(INPUTS)]),
+    inputs=st.sampled_from([OBSERVATION, tuple(INPUTS), WETTED]),
     seed=st.integers(0, 2**32 - 1),
 )
 @example(n_designs=N_LANES, n_lanes=widest(), inputs=OBSERVATION, seed=0)  # all vectors move whole
 @example(n_designs=N_LANES + N_LANES // 2, n_lanes=widest(), inputs=tuple(INPUTS), seed=0)  # some do
+@example(n_designs=N_LANES + 1, n_lanes=widest(), inputs=WETTED, seed=0)
 @example(n_designs=1, n_lanes=widest() // 2, inputs=OBSERVATION, seed=0)  # none does, and lanes are left over
 def test_one_kernel_gives_the_bits_of_asking_between_steps(n_designs, n_lanes, inputs, seed):
     rng = np.random.default_rng(seed)
