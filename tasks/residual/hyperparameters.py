@@ -65,7 +65,10 @@ class Training(Parameters):
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
     """Rate after warm-up. [P] Short runs need more: 2 × 32 units in 10 s did best at 1e-2 with batches of 2,048."""
     min_learning_rate: float = Field(default=1e-6, gt=0.0, le=1.0)
-    """Rate at the last iteration, the end of the exponential decay. [P]"""
+    """Rate at the last iteration, the end of the decay. [P]"""
+    decay: Literal["exponential", "cosine"] = later_choice("exponential")
+    """How the rate decays after warm-up: exponentially [P], or as half a period of a cosine. With a long warm-up and a
+    high rate (0.3 and 3e-2) the latter halves the errors of wetted networks of few throws."""
     warm_up: float = Field(default=0.01, ge=0.0, le=0.5)
     """Share of the iterations in which the rate rises from zero. The paper says short; 1 % is 500 of its 50,000."""
     weight_decay: float = Field(default=0.01, ge=0.0, le=10.0)
@@ -97,9 +100,12 @@ class Training(Parameters):
 
 
 def learning_rate(training: Training, iteration: int) -> float:
-    """Return the rate at an iteration from 0: a linear warm-up, then exponential decay to the least rate at the end."""
+    """Return the rate at an iteration from 0: a linear warm-up, then decay to the least rate at the end."""
     n_warm_up = round(training.warm_up * training.n_iterations)
     if iteration < n_warm_up:
         return training.learning_rate * (iteration + 1) / n_warm_up
     decayed = (iteration - n_warm_up) / (training.n_iterations - 1 - n_warm_up)
-    return training.learning_rate * math.pow(training.min_learning_rate / training.learning_rate, decayed)
+    highest, least = training.learning_rate, training.min_learning_rate
+    if training.decay == "cosine":
+        return least + (highest - least) * (1 + math.cos(math.pi * decayed)) / 2
+    return highest * math.pow(least / highest, decayed)
