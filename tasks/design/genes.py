@@ -182,6 +182,41 @@ class Designs:
         """Copy and pickle the fields alone."""
         return Designs, tuple(array for _, array in self.arrays())
 
+    def to_vector(self) -> Float64:
+        """Return (n_designs, N_REALS) numbers in [0, 1], for optimisers of real vectors; see :meth:`from_vector`."""
+        shown: Float64 = (self.table[:, REALS] + IS_PARENT / 2 - REAL_LOW) / REAL_SPAN
+        return shown
+
+    @staticmethod
+    def from_vector(vector: npt.ArrayLike) -> Designs:
+        """Return the designs of (n_designs, N_REALS) numbers in [0, 1]; every such vector is a valid design.
+
+        Intervals and angles are scaled from their bounds, a motor is on from 1/2, and the parent of link i is link
+        ⌊i u⌋, with u the number. The order is that of the fields, link by link, without what a root ignores.
+
+        Args:
+            vector: (n_designs, N_REALS), or (N_REALS,) of one design.
+
+        Raises:
+            DesignError: the shape is another one, or a number is not in [0, 1].
+        """
+        given = np.atleast_2d(np.asarray(vector, dtype=np.float64))
+        if given.ndim != 2 or given.shape[1] != N_REALS:
+            raise DesignError(f"vector: expected shape (n_designs, {N_REALS}), got {np.shape(vector)}")
+        if (outside := np.argwhere(~((given >= 0) & (given <= 1)))).size:
+            design, place = outside[0]
+            name, link = next(n for n, at in COLUMNS.items() if REALS[place] < at.stop), LINK_OF_COLUMN[REALS[place]]
+            where = "" if name in PER_DESIGN else f" of link {link}"
+            raise DesignError(f"vector: [{design}, {place}], {name}{where}, is {given[design, place]}, expected 0 to 1")
+        numbers = np.minimum(REAL_LOW + given * REAL_SPAN, REAL_HIGH)
+        numbers[:, IS_PARENT] = np.floor(numbers[:, IS_PARENT])
+        motors = np.isin(REALS, np.arange(N_COLUMNS)[COLUMNS["motor_on"]])
+        numbers[:, motors] = given[:, motors] >= 0.5
+        table = np.zeros((len(given), N_COLUMNS))
+        table[:, PARENT_COLUMN] = ROOT_PARENT
+        table[:, REALS] = numbers
+        return Designs.from_table(table)
+
     def equals(self, other: Designs) -> bool:
         """Return whether all genes of all designs are the same."""
         return all(np.array_equal(array, getattr(other, name)) for name, array in self.arrays())
@@ -225,6 +260,22 @@ LOW = np.array([gene.low for gene in GENES])  # (n_genes,) lower bounds in the g
 HIGH = np.array([gene.high for gene in GENES])
 OF_ROOT = np.array([gene.of_root for gene in GENES])  # (n_genes,) whether the root has the gene
 IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])  # (n_genes,) whether the gene is either 0 or 1
+
+_GENE_OF_COLUMN = [
+    next((gene for gene in GENES if gene.name == name), None)
+    for name, at in COLUMNS.items()
+    for _ in range(at.stop - at.start)
+]  # None for a parent
+REALS = np.array(
+    [at for at, gene in enumerate(_GENE_OF_COLUMN) if LINK_OF_COLUMN[at] >= (gene.first_link if gene else 2)]
+)
+"""(N_REALS,) columns of the numbers that tell designs apart; the parent of link 1 is always the root."""
+N_REALS = len(REALS)  # 41
+_GENE_OF_REAL = [_GENE_OF_COLUMN[at] for at in REALS]
+IS_PARENT = np.array([gene is None for gene in _GENE_OF_REAL])
+REAL_LOW = np.array([gene.low if gene else 0.0 for gene in _GENE_OF_REAL])
+REAL_HIGH = np.where(IS_PARENT, LINK_OF_COLUMN[REALS] - 1, [gene.high if gene else 0.0 for gene in _GENE_OF_REAL])
+REAL_SPAN = REAL_HIGH + IS_PARENT - REAL_LOW  # link i has i possible parents
 
 
 def find_fault(table: DesignTable) -> tuple[int, int]:

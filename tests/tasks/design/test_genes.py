@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tasks.design import GENES, N_LINKS, DesignError, Designs, check, concatenate, random_designs
-from tasks.design.genes import COLUMNS, N_COLUMNS, Gene
+from tasks.design.genes import COLUMNS, N_COLUMNS, N_REALS, Gene
 
 
 @pytest.fixture
@@ -47,6 +47,40 @@ def test_indexing_chooses_designs(designs: Designs) -> None:
     with pytest.raises(IndexError):
         designs[5]
     assert concatenate([designs[:2], designs[2:]]).equals(designs)
+
+
+def test_a_vector_is_a_design_and_back() -> None:
+    designs = random_designs(200, np.random.default_rng(4))
+    vector = designs.to_vector()
+    assert vector.shape == (200, N_REALS)
+    assert ((vector >= 0) & (vector <= 1)).all()
+    again = Designs.from_vector(vector)
+    np.testing.assert_allclose(again.table, designs.table, rtol=0, atol=1e-15)
+    assert (again.parent == designs.parent).all()
+    assert (again.motor_on == designs.motor_on).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, 0.5, np.nextafter(1.0, 0.0)])
+def test_every_vector_is_a_valid_design(value: float) -> None:
+    check(Designs.from_vector(np.full(N_REALS, value)))
+    assert Designs.from_vector([[value] * N_REALS]).parent[0, 2:].tolist() == [
+        int(value * i) - (value == 1) for i in range(2, 6)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("vector", "message"),
+    [
+        (np.zeros(40), "expected shape (n_designs, 41), got (40,)"),
+        (np.zeros((1, 1, 41)), "expected shape (n_designs, 41), got (1, 1, 41)"),
+        (np.full((2, 41), 1.5), "[0, 0], length_scale of link 0, is 1.5, expected 0 to 1"),
+        (np.r_[np.zeros(6), np.nan, np.zeros(34)], "[0, 6], parent of link 2, is nan, expected 0 to 1"),
+        (np.r_[np.zeros(40), -0.1], "[0, 40], frequency, is -0.1, expected 0 to 1"),
+    ],
+)
+def test_a_vector_that_is_none_is_refused(vector: object, message: str) -> None:
+    with pytest.raises(DesignError, match=re.escape(f"vector: {message}")):
+        Designs.from_vector(vector)  # type: ignore[arg-type]
 
 
 def test_what_the_root_ignores_is_not_checked(designs: Designs) -> None:
