@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 STAGE_SUMMARIES = {
     "collect": "Throw rectangles into slush: what the simulator gets wrong.",
     "train": "Train the ensemble of residual networks on the throws.",
-    "pilot": "Check whether the throws cover what robots do.",
     "evolve": "Evolve designs in every environment, at every depth.",
     "transfer": "Score champions in True Slush, zero-shot and adapted.",
     "assess": "Compare the networks' predictions with true displacements.",

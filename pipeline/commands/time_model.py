@@ -35,13 +35,11 @@ _SECONDS_PER_PICTURE = 4.4e-3
 _SECONDS_PER_ITEM = {  # to import torch and the like; else as below
     "collect": 0.3,
     "train": 1.0,
-    "pilot": 4.0,
     "analyse": 1.0,
 }
 _SECONDS_PER_OTHER_ITEM = 0.05
 _BYTES = {  # of an item, and of each unit; networks and generations follow from their sizes
     "throws": (5e3, 7e3),
-    "pilots": (800e3, 0.0),
     "designs": (15e3, 500.0),
     "analyses": (500e3, 0.0),
     "pictures": (1e4, 1.5e3),
@@ -204,7 +202,6 @@ _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
     "train": lambda settings, chain: (
         _SECONDS_PER_ITERATION + _flops_of_iteration(settings) / _FLOPS_OF_TRAINING[settings.training.device]
     ),
-    "pilot": lambda settings, chain: chain.spec.n_generations * _generation(settings, "residual_slush"),
     "evolve": lambda settings, chain: _generation(settings, chain.spec.environment),
     "transfer": lambda settings, chain: _generation(settings, chain.spec.environment),
     "assess": lambda settings, chain: _rollout(settings, "true_slush") + _rollout(settings, "residual_slush"),

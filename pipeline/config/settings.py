@@ -134,15 +134,6 @@ class EvolutionSettings(Parameters):
         return self
 
 
-class PilotSettings(Parameters):
-    """What robots do in the base simulator and in each ensemble, to check whether the throws cover it."""
-
-    n_generations: int = Field(default=50, ge=1, le=1_000_000)
-    """Generations of the short evolution in each ensemble."""
-    most_outside: float = Field(default=0.2, ge=0.0, le=1.0)
-    """Share of the states of pilots evolved in an ensemble outside the throws above which the stage warns."""
-
-
 class TransferSettings(Parameters):
     """Tests of champions in True Slush."""
 
@@ -221,8 +212,6 @@ class Settings(Parameters):
     """The trials."""
     rollout: RolloutSettings = RolloutSettings()
     """Duration of a simulation."""
-    pilot: PilotSettings = PilotSettings()
-    """What robots do, before they evolve."""
     evolution: EvolutionSettings = EvolutionSettings()
     """Evolution of designs."""
     transfer: TransferSettings = TransferSettings()

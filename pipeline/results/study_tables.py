@@ -54,8 +54,6 @@ SOURCES: Mapping[str, TableSource] = {
     "transitions": TableSource("collect", "transitions"),
     "learning_curves": TableSource("train", "learning"),
     "validation_errors": TableSource("train", "errors"),
-    "coverage": TableSource("pilot", "coverage"),
-    "pilot_states": TableSource("pilot", "states"),
     **{name: TableSource("analyse", name, one.version) for name, one in ANALYSES.items()},
 }
 """Tables by name."""
@@ -70,8 +68,6 @@ _ABOUT = {
     "transitions": "What the throws taught: states of bars, and what the base simulator gets wrong there.",
     "learning_curves": "Loss of every network over its training.",
     "validation_errors": "Errors of every network on throws that it did not learn from.",
-    "coverage": "How much of what robots do lies outside of the throws.",
-    "pilot_states": "States of the links of pilot robots, by which the coverage is measured.",
 }
 
 KEYS: Mapping[str, pa.DataType] = {"environment": pa.string(), "depth": pa.float64(), "trial": pa.int64()}

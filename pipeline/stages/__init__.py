@@ -4,10 +4,9 @@ from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.assess import ASSESS
 from pipeline.stages.collect import COLLECT
 from pipeline.stages.evolve import EVOLVE
-from pipeline.stages.pilot import PILOT
 from pipeline.stages.report import REPORT
 from pipeline.stages.train import TRAIN
 from pipeline.stages.transfer import TRANSFER
 from pipeline.workflow.stage import AnyStage
 
-STAGES: tuple[AnyStage, ...] = (COLLECT, TRAIN, PILOT, EVOLVE, TRANSFER, ASSESS, ANALYSE, REPORT)
+STAGES: tuple[AnyStage, ...] = (COLLECT, TRAIN, EVOLVE, TRANSFER, ASSESS, ANALYSE, REPORT)

@@ -68,7 +68,7 @@ class PageItemSpec:
 
 def _reads(settings: Settings) -> tuple[str, ...]:
     rest = ("evolve", "transfer", "assess", "analyse")
-    return ("collect", "train", "pilot", *rest) if settings.needs_ensemble else rest
+    return ("collect", "train", *rest) if settings.needs_ensemble else rest
 
 
 def _plan(settings: Settings) -> Sequence[Chain[Settings | DataSpec]]:

@@ -23,7 +23,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,6 +39,7 @@ STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
 WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."  # advice for a study's record
+_GONE_GROUPS = {"pilot"}  # settings of earlier versions, on which no result of today's stages depends
 
 
 class StudyItem(NamedTuple):
@@ -192,7 +193,8 @@ class Store(Items):
             record = _RECORD.validate_python(body)
             if record.name != name:
                 raise DamagedArtifact(f"{path}: it is that of study {record.name}")
-            return record
+            kept = {group: chosen for group, chosen in record.settings.items() if group not in _GONE_GROUPS}
+            return replace(record, settings=kept)
         except (DamagedArtifact, ValidationError) as error:
             raise DamagedArtifact(
                 f"{path}: expected a study's name, settings and items: {error}. {WRITTEN_ANEW}"

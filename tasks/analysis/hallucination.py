@@ -2,7 +2,7 @@
 
 All members learned from the same throws. Where throws were dense they agree and are right; where they disagree, most of
 them are wrong, and evolution exploits a wrong one. None of this needs the true medium. Disagreement does not show an
-error that all members share: see :mod:`tasks.analysis.coverage`.
+error that all members share.
 
 Entry i of a trace is the state after step i, so predictions from it belong to step i + 1.
 """

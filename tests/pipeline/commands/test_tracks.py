@@ -51,7 +51,7 @@ def keys(settings) -> dict[str, str]:
 def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
     folder, _ = collected
     shutil.copytree(folder / "store", tmp_path / "store")
-    for command in ("train", "pilot", "evolve", "transfer"):
+    for command in ("train", "evolve", "transfer"):
         assert call(command, "--study", "tank", "--store", str(tmp_path / "store"), "--workers", "0") == 0
     study = open_study("tank", tmp_path / "store")
     assert study.settings.throws.source == "tracks" and study.settings.throws.n_throws == 4

@@ -150,6 +150,14 @@ def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_pa
         begun.ensemble()
 
 
+def test_a_study_with_settings_of_a_stage_that_is_gone_opens(settings, recorded, opened, tmp_path):
+    store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
+    older = {**settings.model_dump(mode="json"), "pilot": {"n_generations": 50, "most_outside": 0.2}}
+    store.write_study(replace(store.read_study("tiny"), settings=older))
+    found = open_study("tiny", store.root)
+    assert found.settings == settings and found.champions() == opened.champions()
+
+
 def test_a_damaged_history_is_named(recorded, tmp_path):
     root = shutil.copytree(recorded, tmp_path / "store")
     record = Store.open(root, create=False).read_study("tiny")
@@ -168,7 +176,7 @@ def test_a_study_is_read_by_its_recorded_keys(settings, recorded, opened, tmp_pa
     with serial_cluster() as cluster:  # what the settings below lead to
         run(other, store, cluster)
     store.write_study(replace(store.read_study("tiny"), settings=other.model_dump(mode="json")))
-    note = "shown as it was recorded.*results of collect, train, pilot, evolve, transfer, assess, analyse;"
+    note = "shown as it was recorded.*results of collect, train, evolve, transfer, assess, analyse;"
     with pytest.warns(UserWarning, match=note):
         found = puddle.open_study("tiny", store=root)
     assert found.champions() == opened.champions()

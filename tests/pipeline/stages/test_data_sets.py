@@ -2,23 +2,20 @@
 
 import numpy as np
 import pytest
-from small_study import files_of, labelled
+from small_study import labelled
 
-from pipeline.config.settings import PilotSettings
 from pipeline.results import study_tables
-from pipeline.stages import STAGES, environments
+from pipeline.stages import environments
 from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.collect import COLLECT, TRANSITIONS
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
 from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.evolve import EVOLVE
-from pipeline.stages.pilot import PILOT, STATES, read_coverage
 from pipeline.stages.segments import HISTORY, trial_spec
 from pipeline.stages.train import TRAIN
 from pipeline.stages.transfer import SCORE, TRANSFER
 from pipeline.store.encoding import decode_json, decode_table
 from pipeline.workflow.identity import TrialId, to_json, trials_of
-from tasks.residual import OBSERVATION
 
 
 def trial(environment, index):
@@ -146,36 +143,3 @@ def test_what_is_not_chosen_is_in_no_key(settings_with):
     assert "'deviation'" in written(EVOLVE, chosen)
     for name in ("deviation", "range_of_motion", "changed_genes", "parent_selection"):
         assert f"'{name}'" not in written(EVOLVE, usual) + written(TRANSFER, usual)
-
-
-# -- pilots ----------------------------------------------------------------------------------------------------------
-
-
-def test_pilots_run_before_evolution_and_read_no_true_slush(settings_with):
-    names = [stage.name for stage in STAGES]
-    assert names.index("train") < names.index("pilot") < names.index("evolve")
-    assert PILOT.reads(settings_with()) == ("collect", "train")
-    assert all("slush" not in chain.spec.simulation.media for chain in PILOT.plan(settings_with()))
-
-
-def test_every_data_set_is_checked_with_both_kinds_of_pilots(sets):
-    store, upstream = sets
-    for group in ("throws", "designed_throws"):
-        (done,) = upstream["pilot"].done[DataSetId(group, 0)]
-        files = files_of(store, done)
-        found = read_coverage(files)
-        assert list(found) == ["dry_land", "residual_slush"]
-        states = decode_table(files[STATES], schema="states", version=1, source=STATES)
-        assert states["observation"].shape[1] == 6 and np.isfinite(states["observation"]).all()
-        for name, rows in found.items():
-            assert [row.component for row in rows] == ["all", *OBSERVATION]
-            assert sum(row.share_outside for row in rows[1:]) == pytest.approx(rows[0].share_outside)
-            assert {row.n for row in rows} == {int((states["seen_in"] == name).sum())}
-
-
-@pytest.mark.parametrize("most_outside", [0.0, 1.0])
-def test_a_pilot_warns_where_too_much_is_outside(most_outside, sets, settings_with):
-    store, upstream = sets
-    summary = PILOT.summarise(settings_with(pilot=PilotSettings(most_outside=most_outside)), upstream["pilot"], store)
-    assert any(line.startswith("warning: throws: ") for line in summary.lines) == (most_outside == 0.0)
-    assert "share_outside.designed_throws.residual_slush" in summary.metrics
