@@ -53,13 +53,13 @@ class Robot:
         ground = self.world.CreateStaticBody(position=(0, -depth - 10))
         ground.CreatePolygonFixture(box=(10_000, 10), friction=physics.friction)
         self.links: list[Any] = []
-        for i in range(6):
+        for i in reversed(range(6)):  # Box2D's solver begins with the body that was created last: the root
             link = self.world.CreateDynamicBody(
                 position=(float(tree.x[0, i]), float(tree.y[0, i])), angle=float(tree.angle[0, i])
             )
             box = (float(tree.half_width[0, i]), float(tree.half_height[0, i]))
             link.CreatePolygonFixture(box=box, density=physics.link_density, friction=physics.friction, groupIndex=-1)
-            self.links.append(link)
+            self.links.insert(0, link)
         self.joints = [
             self.world.CreateRevoluteJoint(
                 bodyA=self.links[tree.parent[0, i]],
@@ -68,6 +68,7 @@ class Robot:
                 localAnchorB=(0, float(tree.child_anchor[0, i])),
                 enableMotor=bool(self.design.motor_on[0, i]),
                 maxMotorTorque=physics.max_motor_torque,
+                referenceAngle=0,
             )
             for i in range(1, 6)
         ]

@@ -23,9 +23,8 @@ from tasks.world import Physics
 
 _SPARE_RANGE = radians(5.0)  # beyond a joint's range that a calibration allows
 _MIN_MARGIN = 1.3  # sagging batteries, cables, wet seals and wear may take a quarter of a data sheet's torque and speed
-_SATURATION_NOTE = 0.05  # share of the run at the simulated motor's limit that is worth a note
-_SATURATION_WARNING = 0.2  # share above which the simulated torques underestimate the gait's
-_BRIEF_CONTACT = 0.001  # share of the run up to which a contact is only a note
+_SATURATION = 0.2  # share of the run at the simulated motor's limit, above which its torques underestimate the gait's
+_BRIEF_CONTACT = 0.001  # share of the run up to which a contact does not matter
 _MAX_DEVIATIONS = 2.0  # of the ensemble between its mean and the truth
 
 
@@ -48,8 +47,6 @@ class Bench:
     """Everything about a kit beside its parts."""
 
     scales: Scales
-    servo: Servo
-    servos_per_joint: int
     simulated: SimulatedRun | None  # none if the simulation diverged
     loads: tuple[JointLoad, ...]
     floating: Floating
@@ -95,6 +92,8 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
         )
         findings += check_loads(loads, servo)
         for contact in passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step):
+            if contact.share <= _BRIEF_CONTACT:
+                continue
             (first, second), parts = contact.links, " and ".join(f"part {part + 1}" for part in contact.parts)
             where = ("joint " if len(contact.joints) == 1 else "joints ") + " and ".join(map(str, contact.joints))
             message = (
@@ -102,7 +101,7 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
                 f"{contact.first:.1f} s. On the bench {parts} lie in different layers and pass each other, so the "
                 f"robot moves differently there"
             )
-            findings.append(KitFinding("warning" if contact.share > _BRIEF_CONTACT else "note", where, message))
+            findings.append(KitFinding("warning", where, message))
     floating, tank = floating_of(kit, fluid_density=choices.scaling.fluid_density), source.settings.tank
     # Without a tank the kit floats in slush of the simulated depth, at its scale.
     depth_mm = source.depth * settings.scale_mm_per_m if tank is None else 1000 * tank.depth
@@ -117,8 +116,6 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
     findings += [KitFinding("warning", "robot", message) for message in about_robot]
     return Bench(
         scales=scales,
-        servo=servo,
-        servos_per_joint=settings.servos_per_joint,
         simulated=simulated,
         loads=tuple(loads),
         floating=floating,
@@ -201,12 +198,10 @@ def check_loads(loads: Sequence[JointLoad], servo: Servo) -> Iterator[KitFinding
                 f"hobby servo overheats within minutes"
             )
             yield KitFinding("warning", where, message)
-        at_limit = f"the simulated motor was at its torque limit in {load.saturated:.0%} of the run"
-        if load.saturated > _SATURATION_WARNING:
-            message = f"{at_limit}: the torques given for this joint are a lower bound"
+        if load.saturated > _SATURATION:
+            share = f"{load.saturated:.0%} of the run"
+            message = f"the simulated motor is at its torque limit in {share}: the torques given are lower bounds"
             yield KitFinding("warning", where, message)
-        elif load.saturated > _SATURATION_NOTE:
-            yield KitFinding("note", where, f"{at_limit}: a stronger servo moves differently there")
 
 
 def check_floating(floating: Floating, tank_mm: float) -> Iterator[str]:

@@ -44,13 +44,14 @@ def render_kit(
         kit=kit,
         bench=bench,
         source=source,
-        servo=bench.servo,
+        servo=kit.servo,
         scaling=choices.scaling,
         findings=findings,
         verdict=verdict(findings),
-        worst=findings[0].severity if findings else "note",
         figures={
-            "torque": _figure(finish("torque", "Loads of the joints and limits of the servo", partial(_torque, bench))),
+            "torque": _figure(
+                finish("torque", "Loads of the joints and limits of the servo", partial(_torque, kit, bench))
+            ),
             "timeline": _figure(finish("gait", "Joint angles on the bench", partial(_timeline, bench))),
         },
         measures=MEASURES,
@@ -84,7 +85,7 @@ def _figure(drawing: Drawing | Missing) -> Markup:
     return figure.format(drawing.name, drawing.title, inline_svg(drawing), drawing.description)
 
 
-def _torque(bench: Bench) -> tuple[Figure, str]:
+def _torque(kit: Kit, bench: Bench) -> tuple[Figure, str]:
     """Draw the load of every joint against the servo's torque–speed line."""
     if bench.simulated is None:
         raise NothingToDraw("the simulation diverged")
@@ -93,17 +94,17 @@ def _torque(bench: Bench) -> tuple[Figure, str]:
     figure = Figure(figsize=(FIGURE_WIDTH, 3.3), layout="constrained")
     axes = figure.subplots()
     for column, (load, colour) in enumerate(zip(bench.loads, _JOINT_COLOURS, strict=False)):
-        torque = bench.simulated.torque[:, column] * bench.scales.torque / bench.servos_per_joint
+        torque = bench.simulated.torque[:, column] * bench.scales.torque / kit.settings.servos_per_joint
         speed = bench.simulated.speed[:, column] * bench.scales.frequency
         in_sense = np.sign(torque) * speed
         axes.plot(in_sense, np.abs(torque), ".", ms=2.5, color=colour, alpha=0.6, label=f"joint {load.joint}")
-    fastest, stall = bench.servo.no_load_speed_rad_s, bench.servo.stall_torque_nm
-    axes.plot([-fastest, 0, fastest], [stall, stall, 0], color=INK, label=bench.servo.name)
+    fastest, stall = kit.servo.no_load_speed_rad_s, kit.servo.stall_torque_nm
+    axes.plot([-fastest, 0, fastest], [stall, stall, 0], color=INK, label=kit.servo.name)
     axes.set(xlabel="speed in the direction of the torque [rad/s]", ylabel="torque per servo [N·m]", ylim=(0, None))
     axes.grid(True, color=FAINT)
     figure.legend(loc="outside upper center", ncols=3, markerscale=4, fontsize=9)
     return figure, (
-        f"The simulated run at bench scale and the torque–speed line of a {bench.servo.name}, from stall to no load. "
+        f"The simulated run at bench scale and the torque–speed line of a {kit.servo.name}, from stall to no load. "
         f"Left of zero the environment moves the joint and the servo brakes."
     )
 

@@ -55,14 +55,13 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
         raise PuddleError(f"{source.name}: {error}") from None
     physics = source.settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
     bench = bench_of(source, kit, choices, physics)
-    severities = ("fault", "warning", "note")
-    findings = sorted((*kit.findings, *bench.findings), key=lambda finding: severities.index(finding.severity))
+    findings = sorted((*kit.findings, *bench.findings), key=lambda finding: finding.severity)  # faults first
     n_faults = sum(finding.severity == "fault" for finding in findings)
     files = exports(kit, title=source.name, n_faults=n_faults)
     files |= {guide.name: guide.read_bytes() for guide in _GUIDES.iterdir()}
     files["design.json"] = encode_json(design_document(source.design))
     if bench.calibration is not None:
-        heading = f"Servos of {source.name}, from the data sheet of a {bench.servo.name}. Measure yours (servo.md)."
+        heading = f"Servos of {source.name}, from the data sheet of a {kit.servo.name}. Measure yours (servo.md)."
         files["calibration.yaml"] = calibration_yaml(bench.calibration, heading)
         if bench.timeline is not None:
             files["timeline.json"] = timeline_json(bench.timeline, bench.calibration)

@@ -99,21 +99,18 @@ def lens_of_board(path: Path, markers: Markers) -> tuple[Lens, tuple[int, int], 
     """
     import cv2
 
-    boards = [charuco_board(markers.board, markers.dictionary) for _ in range(2)]
-    boards[1].setLegacyPattern(True)  # of OpenCV before 4.6, where rows are even
-    detectors = [cv2.aruco.CharucoDetector(board) for board in boards]
+    board = charuco_board(markers.board, markers.dictionary)
+    detector = cv2.aruco.CharucoDetector(board)
     views: list[dict[int, Float64]] = []
-    n_seen, pattern, size = 0, 0, (0, 0)
+    n_seen, size = 0, (0, 0)
     for frame in frames(path):
         size = (frame.picture.shape[1], frame.picture.shape[0])
-        for number in range(2) if not views else (pattern,):
-            corners, numbers, _, _ = detectors[number].detectBoard(frame.picture)
-            if numbers is not None and len(numbers) >= _LEAST_CORNERS:
-                n_seen, pattern = n_seen + 1, number
-                view = dict(zip(numbers.ravel().tolist(), corners.reshape(-1, 2).astype(np.float64), strict=True))
-                if all(_shift(view, other) > _LEAST_SHIFT * size[0] for other in views):
-                    views.append(view)
-                break
+        corners, numbers, _, _ = detector.detectBoard(frame.picture)
+        if numbers is not None and len(numbers) >= _LEAST_CORNERS:
+            n_seen += 1
+            view = dict(zip(numbers.ravel().tolist(), corners.reshape(-1, 2).astype(np.float64), strict=True))
+            if all(_shift(view, other) > _LEAST_SHIFT * size[0] for other in views):
+                views.append(view)
     if len(views) < _LEAST_VIEWS:
         raise PuddleError(
             f"{path}: expected the board with at least {_LEAST_CORNERS} corners in at least {_LEAST_VIEWS} frames that "
@@ -122,7 +119,7 @@ def lens_of_board(path: Path, markers: Markers) -> tuple[Lens, tuple[int, int], 
         )
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int))]
     matched = [
-        boards[pattern].matchImagePoints(np.array([*view.values()], np.float32)[:, None], np.array([*view])[:, None])
+        board.matchImagePoints(np.array([*view.values()], np.float32)[:, None], np.array([*view])[:, None])
         for view in chosen
     ]
     points, pixels = [view[0] for view in matched], [view[1] for view in matched]
@@ -134,9 +131,4 @@ def lens_of_board(path: Path, markers: Markers) -> tuple[Lens, tuple[int, int], 
         )
     k1, k2, p1, p2, k3 = distortion.ravel()[:5].tolist()
     lens = Lens((camera[0, 0], camera[1, 1]), (camera[0, 2], camera[1, 2]), (k1, k2, p1, p2, k3))
-    if not lens.is_monotonic(*size):
-        raise PuddleError(
-            f"{path}: no lens fits the board: the distortion bends back inside the picture. Film the board from more "
-            f"sides, tilted, and in the corners of the picture too."
-        )
     return lens, size, f"{path.name}: the lens fits {len(chosen)} of {len(views)} views of the board to {misfit:.2f} px"

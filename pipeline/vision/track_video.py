@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +49,6 @@ class Track:
     time: Float64  # (n,) [s]
     pose: Float64  # (n, 3) x, y over the waterline [m] and angle [rad], unwrapped
     deviation: Float64  # (n, 3) standard deviations of the pose
-    noise_px: Float64  # (n,) deviation of the corners [px]
     n_lost: int  # frames between its first and its last in which it is not seen
     lost_from_sight: bool  # whether it ends because the bar is not seen, rather than outside the zone or at rest
 
@@ -187,16 +186,17 @@ def _tracked(
     interval = float(np.median(np.diff(time))) if n_frames > 1 else 1.0
     bars = markers.robot.bars() if options.robot else markers.bars
     fits = [_fits(sightings, plane, bar) for bar in bars]
-    _check_bars(sightings.path, bars, fits)
-    found = [fit for of_bar in fits for fit in of_bar if fit is not None]
+    found = [fit for of_bar in fits for fit in of_bar.values()]
     typical, noise = 0.0, np.zeros(0)
     if found:
         typical, noise = corner_noise(np.array([fit.chi2 for fit in found]), np.array([fit.freedom for fit in found]))
     noises = iter(noise.tolist())
     tracks: list[Track] = []
     for number, (bar, of_bar) in enumerate(zip(bars, fits, strict=True)):
-        px = np.array([0.0 if fit is None else next(noises) for fit in of_bar])
-        pose = np.array([np.zeros(3) if fit is None else fit.pose for fit in of_bar])
+        pose, deviation, px = np.zeros((n_frames, 3)), np.zeros((n_frames, 3)), np.zeros(n_frames)
+        for frame, fit in of_bar.items():
+            pose[frame], px[frame] = fit.pose, next(noises)
+            deviation[frame] = px[frame] * np.sqrt(np.diag(fit.covariance))
         n_seen = np.array([sum(tag.number in frame for tag in bar.tags) for frame in sightings.tags])
         if options.robot:
             spans: list[Ints] = [np.flatnonzero(n_seen)] if n_seen.any() else []
@@ -204,23 +204,15 @@ def _tracked(
             in_zone = ((pose[:, :2] >= low) & (pose[:, :2] <= high)).all(axis=1)
             spans = throw_spans(time, n_seen, pose, in_zone, n_tags=len(bar.tags))
         for span in spans:
-            variance = np.array([np.diag(fit.covariance) for i in span if (fit := of_bar[i]) is not None])
             unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
-            deviation = px[span, None] * np.sqrt(variance)
             n_lost = int(span[-1] - span[0] + 1 - len(span))
             lost_from_sight = bool((n_seen[span[-1] + 1 : span[-1] + 2] == 0).any())
-            tracks.append(Track(number, bar, span, time[span], unwrapped, deviation, px[span], n_lost, lost_from_sight))
+            tracks.append(Track(number, bar, span, time[span], unwrapped, deviation[span], n_lost, lost_from_sight))
     if not options.robot:
         tracks.sort(key=lambda track: track.time[0])
-        tracks = [Track(**{**vars(track), "throw": first + i}) for i, track in enumerate(tracks)]
-    return VideoTracks(
-        sightings.path,
-        sightings.size,
-        plane,
-        tuple(tracks),
-        1 / interval,
-        tuple(_lines(sightings, tracks, misfit, typical, interval, options.robot)),
-    )
+        tracks = [replace(track, throw=first + i) for i, track in enumerate(tracks)]
+    lines = _lines(sightings, tracks, misfit, typical, interval, options.robot)
+    return VideoTracks(sightings.path, sightings.size, plane, tuple(tracks), 1 / interval, tuple(lines))
 
 
 def _lines(
@@ -246,32 +238,27 @@ def _lines(
     return lines
 
 
-def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> list[BarPose | None]:
-    """Fit a bar in every frame that shows one of its tags."""
+def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, BarPose]:
+    """Fit a bar in every frame that shows one of its tags.
+
+    A bar whose corners do not fit the markers file is refused: the fits would take what is wrong there for noise.
+    """
     own = {tag.number: tag_corners(tag.size, tag.across, tag.along) for tag in bar.tags}
-    fits: list[BarPose | None] = []
-    for tags in sightings.tags:
-        shown = [number for number in own if number in tags]
-        if not shown:
-            fits.append(None)
-            continue
-        pixels = np.concatenate([tags[number] for number in shown])
-        corners = np.concatenate([own[number] for number in shown])
-        fits.append(fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels)))
+    fits: dict[int, BarPose] = {}
+    for frame, tags in enumerate(sightings.tags):
+        if shown := [number for number in own if number in tags]:
+            pixels = np.concatenate([tags[number] for number in shown])
+            corners = np.concatenate([own[number] for number in shown])
+            fits[frame] = fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels))
+    squares = [fit.chi2 / fit.freedom for fit in fits.values()]
+    if squares and (misfit := float(np.sqrt(np.median(squares)))) > _MOST_BAR_MISFIT_PX:
+        numbers = " and ".join(str(tag.number) for tag in bar.tags)
+        raise PuddleError(
+            f"{sightings.path}: the bar with tag{'s' * (len(bar.tags) > 1)} {numbers}: its corners fit to {misfit:.1f} "
+            f"px, expected at most {_MOST_BAR_MISFIT_PX:g}: measure its tags (size, along, across) and the tank's (x, "
+            f"y, tag_size) again, and see that no two tags were exchanged"
+        )
     return fits
-
-
-def _check_bars(path: Path, bars: Sequence[TaggedBar], fits: Sequence[Sequence[BarPose | None]]) -> None:
-    """Refuse bars whose corners do not fit the markers file: the fits would take what is wrong there for noise."""
-    for bar, of_bar in zip(bars, fits, strict=True):
-        squares = [fit.chi2 / fit.freedom for fit in of_bar if fit is not None]
-        if squares and (misfit := float(np.sqrt(np.median(squares)))) > _MOST_BAR_MISFIT_PX:
-            numbers = " and ".join(str(tag.number) for tag in bar.tags)
-            raise PuddleError(
-                f"{path}: the bar with tag{'s' * (len(bar.tags) > 1)} {numbers}: its corners fit to {misfit:.1f} px, "
-                f"expected at most {_MOST_BAR_MISFIT_PX:g}: measure its tags (size, along, across) and the tank's (x, "
-                f"y, tag_size) again, and see that no two tags were exchanged"
-            )
 
 
 def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[SeenPlane, float]:
@@ -280,17 +267,10 @@ def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[
     seen = [_still(sightings, tag.number) for tag in tank.corners]
     metres = np.concatenate([tag_corners(tank.tag_size, tag.x, tag.y - tank.waterline) for tag in tank.corners])
     try:
-        if lens is not None:
-            plane, misfit = fit_plane(metres, np.concatenate(seen), lens)
-        else:
-            plane, misfit = fit_plane(metres, np.concatenate(seen), assumed_lens(*sightings.size), radial=True)
+        chosen = assumed_lens(*sightings.size) if lens is None else lens
+        plane, misfit = fit_plane(metres, np.concatenate(seen), chosen, radial=lens is None)
     except (CalibrationError, np.linalg.LinAlgError) as error:
         raise PuddleError(f"{path}: the tank's tags: {error}. Check `tank` in the markers file.") from None
-    if not plane.lens.is_monotonic(*sightings.size):
-        raise PuddleError(
-            f"{path}: no lens fits the tank's tags: its distortion bends back inside the picture. Film the printed "
-            f"board (--lens), or measure the tags' centres and tag_size again."
-        )
     if not misfit <= _MOST_MISFIT_PX:
         off = np.linalg.norm(plane.pixels(metres) - np.concatenate(seen), axis=1).reshape(-1, 4).max(axis=1)
         worst = tank.corners[int(off.argmax())].number

@@ -11,8 +11,8 @@ from tasks.fabrication.features import Feature, check_room_between, features_of
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.profile import Profile, profile_of
 from tasks.fabrication.rods import Layers, keep_out, layers_of, rod_circles
-from tasks.fabrication.servo_joints import ServoJoint, servo_joints_of, servo_of
-from tasks.fabrication.servos import Sense, Servo
+from tasks.fabrication.servo_joints import ServoJoint, servo_joints_of
+from tasks.fabrication.servos import Sense, Servo, as_measured
 from tasks.fabrication.splits import Split, split_of
 
 SIDES = ("left", "right")
@@ -24,6 +24,7 @@ class Assembly:
 
     settings: KitSettings
     mechanism: Mechanism
+    servo: Servo  # of every joint, with its one horn and the user's measurements
     servo_joints: tuple[ServoJoint, ...]  # one per turning joint, in order of the child links
     profiles: tuple[Profile, ...]  # one per body
     layers: Layers
@@ -35,17 +36,6 @@ class Assembly:
     def outlines(self) -> list[Polygon]:
         """Outlines of the parts, including bosses and fillets."""
         return [profile.polygon for profile in self.profiles]
-
-    @property
-    def servo(self) -> Servo:
-        """The servo of every joint, with its one horn and the user's measurements."""
-        return servo_of(self.settings)
-
-    @property
-    def hull_mm3(self) -> float:
-        """Volume inside the outlines of both pontoons, including hollows."""
-        area: float = sum(profile.face.area for profile in self.profiles)
-        return 2 * self.settings.thickness_mm * area
 
     def placement(self, body: int, side: str) -> tuple[bool, float]:
         """Return whether a part made with its back at 0 and its face up is mirrored, and its shift along z [mm]."""
@@ -69,7 +59,8 @@ def assemble(design: Designs, settings: KitSettings) -> Assembly:
     """
     check(design)
     mechanism = mechanism_of(design, settings)
-    servo_joints = servo_joints_of(mechanism, settings)
+    servo = as_measured(settings.servo, settings.horn, settings.measured)
+    servo_joints = servo_joints_of(mechanism, servo, settings)
     check_room_between(servo_joints, settings)
     bodies = range(len(mechanism.bodies))
     profiles = tuple(profile_of(mechanism, servo_joints, body, settings) for body in bodies)
@@ -80,6 +71,7 @@ def assemble(design: Designs, settings: KitSettings) -> Assembly:
     return Assembly(
         settings=settings,
         mechanism=mechanism,
+        servo=servo,
         servo_joints=servo_joints,
         profiles=profiles,
         layers=layers,

@@ -8,7 +8,7 @@ guess: measure each servo once (docs/servo.md).
 
 from typing import Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from tasks.design.genes import N_LINKS
 from tasks.parameters import Parameters
@@ -35,13 +35,6 @@ class ServoCalibration(Parameters):
     """Longest pulse that may be sent [µs]."""
     max_speed: float = Field(gt=0.0, le=100.0)
     """Fastest speed that may be commanded [rad/s]."""
-
-    @field_validator("direction", mode="before")
-    @classmethod
-    def _check_number(cls, value: object) -> object:
-        if isinstance(value, bool):  # which equals 1 or 0
-            raise ValueError(f"expected 1 or -1, got {str(value).lower()}")
-        return value
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import degrees, hypot, inf, pi
+from math import degrees, inf, pi
 from typing import Literal
 
 from shapely.geometry.base import BaseGeometry
@@ -18,7 +18,7 @@ from tasks.fabrication.built_bodies import Pose, moved
 from tasks.fabrication.servo_joints import ServoJoint
 from tasks.fabrication.splits import bed_mm
 
-Severity = Literal["fault", "warning", "note"]
+Severity = Literal["fault", "warning"]
 
 _VARIANT_MOTORS = 2  # actuated joints of the physical variant; paper, "Manufacturing"
 _ROUNDING_MM, _ROUNDING_MM2 = 1e-6, 0.01
@@ -29,7 +29,7 @@ _NECK_STEP_MM = 0.25
 
 @dataclass(frozen=True)
 class KitFinding:
-    """A fault, warning or note about a kit."""
+    """A fault or a warning about a kit."""
 
     severity: Severity
     where: str
@@ -37,10 +37,9 @@ class KitFinding:
 
 
 def findings_of(assembly: Assembly) -> tuple[KitFinding, ...]:
-    """Check a robot to build. Returns faults first, then warnings, then notes."""
-    checks = (_variant, _travel, _cradles, shared_space, _walls, _necks, _collisions, _rods, _bed)
-    findings = [finding for check in checks for finding in check(assembly)]
-    return tuple(sorted(findings, key=lambda finding: ("fault", "warning", "note").index(finding.severity)))
+    """Check a robot to build."""
+    checks = (_variant, _travel, _walls, _necks, _collisions, _rods, _bed)
+    return tuple(finding for check in checks for finding in check(assembly))
 
 
 def _variant(assembly: Assembly) -> Iterator[KitFinding]:
@@ -67,27 +66,6 @@ def _travel(assembly: Assembly) -> Iterator[KitFinding]:
                 f"±{degrees(servo.travel_rad / 2):.0f}°. Choose a servo with more travel (--set kit.servo=...)"
             )
             yield KitFinding("fault", f"joint {joint.link}", message)
-
-
-def _cradles(assembly: Assembly) -> Iterator[KitFinding]:
-    for servo_joint in assembly.servo_joints:
-        body = assembly.mechanism.bodies[servo_joint.carrier]
-        area = servo_joint.cradle.difference(body.outline).area
-        if area > _ROUNDING_MM2:
-            message = f"a boss of {area:.0f} mm² stands out of {body.name}"
-            yield KitFinding("note", f"joint {servo_joint.joint.link}", message)
-
-
-def shared_space(assembly: Assembly) -> Iterator[KitFinding]:
-    """Find joints so close on one part that their servos need the same space."""
-    for a, b in combinations(assembly.servo_joints, 2):
-        for body in {a.carrier, a.driven} & {b.carrier, b.driven}:
-            first, second = (one.pocket if one.carrier == body else one.recess for one in (a, b))
-            shared = first.intersection(second).area
-            if shared > _ROUNDING_MM2:
-                apart = hypot(a.joint.at[0] - b.joint.at[0], a.joint.at[1] - b.joint.at[1])
-                message = f"are {apart:.1f} mm apart on part {body + 1}: their pockets overlap by {shared:.0f} mm²"
-                yield KitFinding("fault", f"joints {a.joint.link} and {b.joint.link}", message)
 
 
 def _walls(assembly: Assembly) -> Iterator[KitFinding]:
@@ -160,9 +138,8 @@ def _rods(assembly: Assembly) -> Iterator[KitFinding]:
             swept = " and clear of the parts that sweep over it" if layers.outer[body.index] else ""
             message = f"has no room for a rod with a wall of {settings.wall_mm:g} mm around it{swept}"
             yield KitFinding("fault", body.name, message)
-        elif len(rods) < settings.rods_per_part:
-            message = f"has room for {len(rods)} of {settings.rods_per_part} rods, so its copies twist more"
-            yield KitFinding("warning", body.name, message)
+        elif len(rods) < 2:
+            yield KitFinding("warning", body.name, "has room for 1 of 2 rods, so its copies twist more")
     for servo_joint in assembly.servo_joints if settings.servos_per_joint == 1 else ():
         lag = lag_rad(assembly, servo_joint)
         if lag > _LAG_LIMIT:
@@ -201,11 +178,10 @@ def _bed(assembly: Assembly) -> Iterator[KitFinding]:
         message = f"is {settings.thickness_mm:g} mm high, but the printer reaches only {settings.bed_mm[2]:g} mm"
         yield KitFinding("fault", "every part", message)
     for body, split, outline in zip(assembly.mechanism.bodies, assembly.splits, assembly.outlines, strict=True):
-        low_x, low_y, high_x, high_y = outline.bounds
-        size = f"is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, the usable bed {width:.0f} × {depth:.0f} mm"
         if not split.fits:
-            message = f"{size}. No cut across a link that misses servos and rods makes its pieces fit"
+            low_x, low_y, high_x, high_y = outline.bounds
+            message = (
+                f"is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, the usable bed {width:.0f} × {depth:.0f} mm. No "
+                f"cut across a link that misses servos and rods makes its pieces fit"
+            )
             yield KitFinding("fault", body.name, message)
-        elif len(split.pieces) > 1:
-            message = f"{size}. It is split into {len(split.pieces)} pieces: slide them together and glue them"
-            yield KitFinding("note", body.name, message)

@@ -38,18 +38,13 @@ class Kit(Assembly):
     parts: tuple[Part, ...]  # pieces to print
     bought: tuple[BoughtPart, ...]  # servos, horns, rods and pins, in place
     gauges: tuple[Gauge, ...]  # test prints for the fit of servo and horn
-    findings: tuple[KitFinding, ...]  # faults first
+    findings: tuple[KitFinding, ...]
     bill: tuple[BillLine, ...]
 
     @property
     def mass_g(self) -> float:
         """Mass of prints, servos and steel, without screws and cables."""
         return sum(line.mass_g for line in self.bill if line.mass_g is not None)
-
-    @property
-    def printed_mm3(self) -> float:
-        """Volume of the prints, which displaces water once all hollows are flooded."""
-        return sum(part.volume_mm3 for part in self.parts)
 
 
 def build_kit(design: Designs, settings: KitSettings) -> Kit:
@@ -130,6 +125,8 @@ def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
     """
     servo, n_servos = kit.servo, kit.settings.servos_per_joint * len(kit.servo_joints)
     servos_mm3 = n_servos * servo.length_mm * servo.width_mm * servo.height_mm
+    hull_mm3 = 2 * kit.settings.thickness_mm * sum(profile.face.area for profile in kit.profiles)
+    printed_mm3 = sum(part.solid.volume for part in kit.parts)
     needed_mm3 = kit.mass_g / 1000 / fluid_density * 1e9
     left, bottom, right, top = unary_union(kit.outlines).bounds
 
@@ -139,13 +136,13 @@ def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
         return float(2 * kit.settings.thickness_mm * area - needed_mm3)
 
     height, draught = top - bottom, None
-    if needed_mm3 <= kit.hull_mm3:
+    if needed_mm3 <= hull_mm3:
         draught = brentq(missing_mm3, 0.0, height) if missing_mm3(height) > 0 else height
     return Floating(
         mass_kg=kit.mass_g / 1000,
-        sealed_m3=kit.hull_mm3 * 1e-9,
-        sealed_share=needed_mm3 / kit.hull_mm3,
-        flooded_share=needed_mm3 / (kit.printed_mm3 + servos_mm3),
+        sealed_m3=hull_mm3 * 1e-9,
+        sealed_share=needed_mm3 / hull_mm3,
+        flooded_share=needed_mm3 / (printed_mm3 + servos_mm3),
         draught_mm=draught,
         height_mm=height,
     )

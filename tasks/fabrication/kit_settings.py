@@ -33,8 +33,6 @@ class KitSettings(Parameters):
     """Clearance on every side of a servo or horn; printed pockets come out small."""
     rod_mm: float = Field(default=3.0, ge=1.0, le=10.0)
     """Diameter of the rods. [P]"""
-    rods_per_part: int = Field(default=2, ge=1, le=4)
-    """Rods that tie a part to its copy in the other pontoon; two prevent twisting."""
     rod_clearance_mm: float = Field(default=0.1, ge=0.0, le=1.0)
     """Added to a rod's diameter where it is glued or pressed in."""
     pivot_clearance_mm: float = Field(default=0.3, ge=0.05, le=1.0)

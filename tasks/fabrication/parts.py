@@ -35,7 +35,6 @@ class Part:
     side: str
     solid: Solid  # solid, in place in the robot
     outline: Polygon
-    volume_mm3: float
     mass_g: float  # estimated mass at the chosen infill
     face_down: bool  # whether it is printed on its face, with its pockets open upward, rather than on its back
     face_is_up: bool  # whether its face points along +z in the robot
@@ -57,7 +56,6 @@ class Gauge:
 
     name: str
     solid: Solid
-    volume_mm3: float
     mass_g: float
 
 
@@ -94,7 +92,6 @@ def _pieces(assembly: Assembly, body: RigidPart, side: str) -> list[Part]:
                 side=side,
                 solid=piece,
                 outline=outline,
-                volume_mm3=piece.volume,
                 mass_g=_printed_mass_g(piece, settings),
                 face_down=any(feature.label == "pocket" for feature in features),
                 face_is_up=not assembly.placement(body.index, side)[0],
@@ -132,7 +129,7 @@ def _slice(name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: floa
     ]
     face = boss.faces()[0]
     (solid,) = _cut_out(name, Profile(face, polygon_of(face)), cut, settings.thickness_mm - bottom_mm, 1)
-    return Gauge(name, solid, solid.volume, _printed_mass_g(solid, settings))
+    return Gauge(name, solid, _printed_mass_g(solid, settings))
 
 
 def _cut_out(name: str, profile: Profile, features: Sequence[Feature], thickness: float, n_pieces: int) -> list[Solid]:

@@ -1,9 +1,9 @@
 """Layers and rods: which layer is the outer one, and where steel rods tie every part to its copy in the other pontoon.
 
 The pontoons mirror each other: the outer layers are the pitch apart and the inner layers face each other. An inner
-part's rods cross the empty space between the pontoons; they are inserted before an outer part covers their bores. An
-outer part's rods also cross the inner layer and must clear the parts that sweep there. Of the two choices of the outer
-layer, the one with more and wider-spaced rods is taken.
+part's two rods cross the empty space between the pontoons; they are inserted before an outer part covers their bores.
+An outer part's rods also cross the inner layer and must clear the parts that sweep there. Of the two choices of the
+outer layer, the one with more and wider-spaced rods is taken.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,6 @@ from tasks.fabrication.servo_joints import ServoJoint
 
 _MIN_SPREAD_MM = 15.0  # closer rods hardly prevent twisting and count as one
 _MIN_ROOM_MM2 = 1.0  # a smaller area is a sliver left by offsetting outlines
-_CORNER_MM = 0.2  # tolerance that reduces the hundreds of chords of an arc to a few corners
 
 
 @dataclass(frozen=True)
@@ -48,11 +47,10 @@ def layers_of(
     for parity in (0, 1) if mechanism.joints else (0,):
         outer = tuple(body.depth % 2 == parity for body in mechanism.bodies)
         rods = tuple(
-            _placed(_room(body.index, outer, mechanism, servo_joints, outlines, settings), settings.rods_per_part)
-            for body in mechanism.bodies
+            _placed(_room(body.index, outer, mechanism, servo_joints, outlines, settings)) for body in mechanism.bodies
         )
         choices.append(Layers(outer, rods))
-    return max(choices, key=lambda layers: (sum(min(len(r), 2) for r in layers.rods), sum(map(_spread, layers.rods))))
+    return max(choices, key=lambda layers: (sum(map(len, layers.rods)), sum(map(_spread, layers.rods))))
 
 
 def keep_out(servo_joints: Sequence[ServoJoint], body: int) -> BaseGeometry:
@@ -81,29 +79,19 @@ def _room(
     return room
 
 
-def _placed(room: BaseGeometry, n: int) -> tuple[Point, ...]:
-    """Place up to n rods as far apart as possible."""
+def _placed(room: BaseGeometry) -> tuple[Point, ...]:
+    """Place two rods as far apart as possible, or one where they would be too close."""
     if room.is_empty or room.area < _MIN_ROOM_MM2:
         return ()
-    corners = np.array(
-        [point for part in getattr(room, "geoms", [room]) for point in part.simplify(_CORNER_MM).exterior.coords[:-1]]
-    )
-    hull = np.array(room.convex_hull.exterior.coords)[:-1]
-    first, second = max(combinations(range(len(hull)), 2), key=lambda pair: np.hypot(*(hull[pair[0]] - hull[pair[1]])))
-    if n == 1 or np.hypot(*(hull[first] - hull[second])) < _MIN_SPREAD_MM:
+    rods = max(combinations(room.convex_hull.exterior.coords[:-1], 2), key=_spread)
+    if _spread(rods) < _MIN_SPREAD_MM:
         middle = room.representative_point()
         return ((middle.x, middle.y),)
-    chosen = [hull[first], hull[second]]
-    while len(chosen) < n:
-        nearest = np.min([np.hypot(*(corners - point).T) for point in chosen], axis=0)
-        if nearest.max() < _MIN_SPREAD_MM:
-            break
-        chosen.append(corners[int(nearest.argmax())])
-    return tuple((float(x), float(y)) for x, y in chosen)
+    return rods
 
 
 def _spread(rods: Sequence[Point]) -> float:
-    return max((float(np.hypot(a[0] - b[0], a[1] - b[1])) for a, b in combinations(rods, 2)), default=0.0)
+    return float(np.hypot(rods[0][0] - rods[1][0], rods[0][1] - rods[1][1])) if len(rods) == 2 else 0.0
 
 
 def rod_circles(rods: Sequence[Point], radius: float) -> BaseGeometry:

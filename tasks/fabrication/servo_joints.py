@@ -12,7 +12,7 @@ A joint is assembled as follows:
 - With one servo per joint, as in the paper (two servos in all), the servos of successive joints alternate between the
   left and the right pontoon, for balance. The other pontoon turns on a pin. Both pontoons have the same outline.
 - Either part of the joint may carry the servo, along or across its link, whichever makes the least stand out. Where a
-  cradle is wider than its link, it stands out as a boss, which the checks report.
+  cradle is wider than its link, it stands out as a boss.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.fabrication.built_bodies import Mechanism, Point, TurningJoint, swept
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.servos import Horn, Sense, Servo, as_measured
+from tasks.fabrication.servos import Horn, Sense, Servo
 
 _HIT_COST = 10.0  # per mm² of a boss in the way of another part, where 1 mm² outside its own part costs 1
 _CONFLICT_COST = 1000.0  # per mm² shared by two servos
@@ -42,7 +42,6 @@ class ServoJoint:
     servo: Servo
     horn: Horn
     carrier: int  # index of the body that holds the servo
-    carrier_link: int
     driven: int  # index of the body that the horn turns
     angle: float  # angle of the servo's long side in the plane, from the shaft to the far end [rad]
     clearance_mm: float
@@ -135,15 +134,8 @@ class ServoJoint:
         return 1 if signs > 0 else -1
 
 
-def servo_of(settings: KitSettings) -> Servo:
-    """Return the kit's servo with its one horn and the user's measurements. Raises as :func:`as_measured`."""
-    return as_measured(settings.servo, settings.horn, settings.measured)
-
-
-def servo_joints_of(mechanism: Mechanism, settings: KitSettings) -> tuple[ServoJoint, ...]:
-    """Choose, joint by joint, which part carries the servo and how it lies. Raises as :func:`as_measured`."""
-    servo = servo_of(settings)
-    (horn,) = servo.horns
+def servo_joints_of(mechanism: Mechanism, servo: Servo, settings: KitSettings) -> tuple[ServoJoint, ...]:
+    """Choose, joint by joint, which part carries the servo and how it lies."""
     ways = {body.index: _ways(mechanism, body.index) for body in mechanism.bodies} if mechanism.joints else {}
     servo_joints: list[ServoJoint] = []
     for number, joint in enumerate(mechanism.joints):
@@ -152,9 +144,8 @@ def servo_joints_of(mechanism: Mechanism, settings: KitSettings) -> tuple[ServoJ
                 joint=joint,
                 number=number,
                 servo=servo,
-                horn=horn,
+                horn=servo.horns[0],
                 carrier=carrier,
-                carrier_link=link,
                 driven=joint.child if carrier == joint.parent else joint.parent,
                 angle=mechanism.link_angle[link] + pi / 2 + quarter * pi / 2,
                 clearance_mm=settings.servo_clearance_mm,

@@ -20,19 +20,8 @@ MAX_LINEAR_CORRECTION = np.float32(0.2)  # b2_maxLinearCorrection [m]: most that
 MAX_TRANSLATION = np.float32(2.0)  # b2_maxTranslation [m]: farthest that a body moves in a step
 MAX_ROTATION = np.float32(0.5) * np.float32(3.14159265359)  # b2_maxRotation [rad]: farthest that a body turns in a step
 MAX_ROTATION_SQUARED = MAX_ROTATION * MAX_ROTATION
-
-
-def largest_square(root: float) -> np.float32:
-    """Return the largest float32 whose square root, in float32, is at most ``root``; it spares a kernel the root."""
-    square = np.float32(root) * np.float32(root)
-    while np.sqrt(np.nextafter(square, np.float32(np.inf))) <= np.float32(root):
-        square = np.nextafter(square, np.float32(np.inf))
-    while np.sqrt(square) > np.float32(root):
-        square = np.nextafter(square, np.float32(0.0))
-    return square
-
-
-LINEAR_SLOP_SQUARED = largest_square(float(LINEAR_SLOP))  # [m²]
+LINEAR_SLOP_SQUARED = np.float32(2.5000001e-05)
+"""Largest float32 whose square root, in float32, is at most the slop [m²]; it spares a kernel the root."""
 
 
 class Column:

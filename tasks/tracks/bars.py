@@ -10,8 +10,6 @@ from tasks.tracks.conventions import Tracks
 from tasks.tracks.table import TrackError, first, length_scale_of, metres
 
 _TOLERANCE = 0.1  # share by which a bar may differ from a link
-_BAR_DENSITY = 800.0  # of a bar that floats as a link does [kg/m³]
-_THICKNESS = 1e-3, 1.0  # that a bar of that density may have on the bench [m]
 
 
 class TrackedBarError(TrackError):
@@ -61,20 +59,11 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
             f"a width of {1 / (length[k] * unit):.4g} {tracks.length_unit}, because every link has an area of 1 m² of "
             f"simulation: measure the bar, or check tracks.length_unit and tracks.metres_per_metre"
         )
-    typical = float(np.median(bars.mass))
     light, heavy = int(np.argmin(bars.mass)), int(np.argmax(bars.mass))
     if bars.mass[heavy] * (1 - _TOLERANCE) > bars.mass[light] * (1 + _TOLERANCE):
         raise TrackedBarError(
             f"the bar of throw {bars.throw[light]} has a mass of {bars.mass[light]:g} kg and that of throw "
             f"{bars.throw[heavy]} one of {bars.mass[heavy]:g} kg: expected equal masses, because every link has the "
-            f"same: ballast the bars, or give masses in kg"
+            f"same: ballast the bars"
         )
-    if tracks.scaling == "froude":
-        thickness = typical / (_BAR_DENSITY * length_scale_of(tracks) ** 2)
-        if not _THICKNESS[0] < thickness < _THICKNESS[1]:
-            raise TrackedBarError(
-                f"the mass of a bar is {typical:g} kg (median), and bars that float as links do would be "
-                f"{1000 * thickness:.3g} mm thick: expected {1000 * _THICKNESS[0]:g} to {1000 * _THICKNESS[1]:g} mm: "
-                f"give masses in kg"
-            )
     return dict(zip(bars.throw.tolist(), length.tolist(), strict=True))

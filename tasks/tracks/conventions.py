@@ -1,8 +1,8 @@
 """Conventions of a tracks file: which file, and what its numbers mean."""
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from tasks.parameters import Parameters
 
@@ -40,13 +40,3 @@ class Tracks(Parameters):
     """How residuals are found: "rollouts" fits a model of the medium to the poses at several frames, and smooths what
     it leaves; "steps" smooths the poses alone, which takes seconds instead of a minute, and underestimates what dies
     out between two frames."""
-
-    @model_validator(mode="after")
-    def _scale_is_used(self) -> Self:
-        default = type(self).model_fields["metres_per_metre"].default
-        if self.scaling == "none" and self.metres_per_metre != default:
-            raise ValueError(
-                f"scaling is none, but metres_per_metre is {self.metres_per_metre}: expected scaling froude, or "
-                f"metres_per_metre left as it is"
-            )
-        return self

@@ -13,7 +13,6 @@ from scipy.optimize import least_squares
 from tasks.arrays import Float64, Floats
 
 _N_INVERSIONS = 20  # fixed-point iterations of the distortion; each gains a digit for the lenses of phones
-_FARTHEST_RAY = 3.0  # to which a distortion is looked at, over the distance of the picture's corners from its centre
 _FOCAL_WIDTHS = 1.2  # focal length that is assumed of an unknown lens, in widths of the picture
 
 
@@ -47,20 +46,6 @@ class Lens:
         for _ in range(_N_INVERSIONS if any(self.distortion) else 0):
             rays = rays + seen - (self.distorted(rays) - self.centre) / self.focal
         return np.asarray(rays)
-
-    def is_monotonic(self, width: int, height: int) -> bool:
-        """Return whether rays move outward up to the corners of pictures of a size [px], so that pixels tell them.
-
-        A distortion fitted to too few points may bend back inside the picture.
-        """
-        k1, k2, _, _, k3 = self.distortion
-        ends = (np.array([(x, y) for x in (0.0, width - 1) for y in (0.0, height - 1)]) - self.centre) / self.focal
-        farthest = float(np.hypot(*ends.T).max())
-        r2 = np.square(np.linspace(0.0, _FARTHEST_RAY * farthest, 1000))
-        bent = np.sqrt(r2) * (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
-        falls = np.flatnonzero(1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3)) <= 0)
-        inside = bent[: falls[0]] if len(falls) else bent
-        return bool(len(inside)) and float(inside.max()) >= farthest
 
 
 def assumed_lens(width: int, height: int) -> Lens:

@@ -36,13 +36,7 @@ class Block:
     """Rows of lanes in aligned memory; kernels load from it and store to it."""
 
     def __init__(self, n_rows: int, n_lanes: int) -> None:
-        """Allocate n_rows rows of zeros.
-
-        Raises:
-            ValueError: the number of lanes is not a power of two.
-        """
-        if n_lanes < 1 or n_lanes & (n_lanes - 1):
-            raise ValueError(f"a block has {n_lanes} lanes, expected a power of two")
+        """Allocate n_rows rows of zeros; n_lanes is a power of two."""
         self.rows = aligned((n_rows, n_lanes))
         self.address: int = self.rows.ctypes.data
         self.n_lanes = n_lanes

@@ -24,8 +24,8 @@ def load(**changes: float) -> JointLoad:
     ("load", "severity", "said"),
     [
         (load(), None, ""),
-        (load(saturated=0.21), "warning", "lower bound"),
-        (load(saturated=0.19), "note", "a stronger servo moves differently"),
+        (load(saturated=0.21), "warning", "at its torque limit in 21% of the run"),
+        (load(saturated=0.19), None, ""),
         (load(stall_share=0.4), "warning", "overheats"),
         (load(peak_speed=1.1 * FASTEST, use=1.1), "fault", "kept_frequencies"),
         (load(peak_torque=1.2 * STALL, use=1.3), "fault", "servos_per_joint=2"),

@@ -42,7 +42,7 @@ def test_stl_is_watertight_lies_on_the_bed_and_has_the_part_s_volume(kit, files)
         assert (outward > 0).mean() > 0.99
         mesh = trimesh.load(io.BytesIO(content), file_type="stl")
         assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
-        assert mesh.volume == pytest.approx(printed.volume_mm3, rel=MESHED)
+        assert mesh.volume == pytest.approx(printed.solid.volume, rel=MESHED)
         assert np.allclose(mesh.bounds[0], 0.0, atol=1e-4) and mesh.bounds[1][2] < 25.001
 
 
@@ -51,12 +51,12 @@ def test_step_keeps_volume_and_place(kit, files, tmp_path):
         path = tmp_path / f"{part.name}.step"
         path.write_bytes(files[f"cad/{part.name}.step"])
         (solid,) = import_step(path).solids()
-        assert solid.is_valid and solid.volume == pytest.approx(part.volume_mm3, rel=1e-6)
+        assert solid.is_valid and solid.volume == pytest.approx(part.solid.volume, rel=1e-6)
         assert np.allclose(tuple(solid.center()), tuple(part.solid.center()), atol=1e-4)
     (tmp_path / "robot.step").write_bytes(files["robot.step"])
     solids = import_step(tmp_path / "robot.step").solids()
     assert len(solids) == len(kit.parts) + len(kit.bought)
-    expected = sum(p.volume_mm3 for p in kit.parts) + sum(b.solid.volume for b in kit.bought)
+    expected = sum(one.solid.volume for one in (*kit.parts, *kit.bought))
     assert sum(s.volume for s in solids) == pytest.approx(expected, rel=1e-6)
     for name in ("part-1-left", "servo of joint 2, left", "rod 1 of part 2"):
         assert name.encode() in files["robot.step"]

@@ -1,61 +1,36 @@
-"""The limits on what a servo is sent, under random and extreme commands."""
+"""The limits on what a servo is sent, under random and extreme commands. See test_player.py for whole runs."""
 
 import math
 
-import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from pipeline.servo.limits import LONGEST_STEP, LimitedOutput, clamp
-from pipeline.servo.servo_controller import DryRunController
+from pipeline.servo.limits import LONGEST_STEP, clamp
 from tasks.fabrication.calibration import ServoCalibration
 
 
-class Recorder(DryRunController):
-    def __init__(self) -> None:
-        self.sent: list[dict[int, float]] = []
-
-    def send(self, pulses_us) -> None:
-        self.sent.append(dict(pulses_us))
-
-
-def random_servo(rng: np.random.Generator) -> ServoCalibration:
-    low, centre, high = np.sort(rng.uniform(400.0, 2600.0, 3)).tolist()
-    return ServoCalibration(
-        joint=1,
-        channel=int(rng.integers(24)),
-        centre_us=centre,
-        direction=int(rng.choice([-1, 1])),
-        us_per_rad=float(rng.uniform(100, 1200)),
-        min_us=low,
-        max_us=high,
-        max_speed=float(rng.uniform(0.001, 50)),
-    )
-
-
-def test_100_000_random_commands_stay_within_the_limits():
-    rng = np.random.default_rng(20)
-    wild = [math.nan, math.inf, -math.inf, 1e308, -1e308, 0.0, -1.0]
-    for _ in range(100):
-        servo, recorder, now = random_servo(rng), Recorder(), 0.0
-        outlet, before = LimitedOutput(recorder, [servo]), None
-        kinds = np.stack([np.zeros(1000), rng.exponential(0.02, 1000), rng.uniform(0, 10, 1000), np.full(1000, -1.0)])
-        waits = kinds[rng.integers(4, size=1000), np.arange(1000)]
-        asked = np.where(rng.random(1000) < 0.1, rng.choice(wild, 1000), rng.uniform(-1000, 5000, 1000))
-        for number, (elapsed, wanted) in enumerate(zip(waits.tolist(), asked.tolist(), strict=True)):
-            if number == 500:
-                outlet.off()
-                before = None
-            now += elapsed
-            outlet.send({servo.channel: wanted}, now)
-            sent = recorder.sent[-1][servo.channel]
-            if servo.max_us - servo.min_us >= 0.5:  # a quarter of a microsecond lies between the limits
-                assert servo.min_us <= sent <= servo.max_us
-            assert sent * 4 == round(sent * 4)
-            if before is None:
-                assert abs(sent - servo.centre_us) <= 0.25
-            else:
-                assert abs(sent - before) <= servo.max_rate_us * min(max(elapsed, 0.0), LONGEST_STEP) + 1e-6
-            before = sent
+@settings(max_examples=1000)
+@given(
+    pulses=st.lists(st.floats(400, 2600), min_size=3, max_size=3).map(sorted).filter(lambda p: p[2] - p[0] >= 0.5),
+    us_per_rad=st.floats(100, 1200),
+    max_speed=st.floats(0.001, 50),
+    wanted=st.floats() | st.floats(-1000, 5000),
+    at=st.floats(0, 1) | st.none(),
+    elapsed=st.floats(-1, 10),
+)
+def test_any_command_stays_within_the_limits(pulses, us_per_rad, max_speed, wanted, at, elapsed):
+    low, centre, high = pulses
+    limits = {"min_us": low, "max_us": high, "us_per_rad": us_per_rad, "max_speed": max_speed}
+    servo = ServoCalibration(joint=1, channel=0, centre_us=centre, direction=1, **limits)
+    lowest, highest = math.ceil(4 * low), math.floor(4 * high)
+    last = None if at is None else round(lowest + at * (highest - lowest)) / 4
+    sent = clamp(wanted, last, elapsed, servo)
+    assert low <= sent <= high and sent * 4 == round(sent * 4)
+    if last is None:
+        assert abs(sent - centre) <= 0.25
+    else:
+        assert abs(sent - last) <= servo.max_rate_us * min(max(elapsed, 0.0), LONGEST_STEP) + 1e-6
 
 
 @pytest.mark.parametrize(

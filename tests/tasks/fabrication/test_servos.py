@@ -4,32 +4,26 @@ import pytest
 from build123d import GeomType
 from pydantic import ValidationError
 
-from tasks.fabrication.built_bodies import mechanism_of
-from tasks.fabrication.kit import build_kit
+from tasks.fabrication.assembly import assemble
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.parts import Gauge
-from tasks.fabrication.servo_joints import ServoJoint, servo_joints_of, servo_of
-from tasks.fabrication.servos import SERVOS, ServoError
+from tasks.fabrication.parts import Gauge, gauges_of
+from tasks.fabrication.servos import SERVOS, ServoError, as_measured
 
 EVERY_HORN = [(servo.name, horn.kind) for servo in SERVOS.values() for horn in servo.horns]
 
 
-def joint_of(crane, settings: KitSettings) -> ServoJoint:
-    return servo_joints_of(mechanism_of(crane, settings), settings)[0]
-
-
 def test_measurements_replace_the_library():
-    servo = servo_of(KitSettings(measured={"length_mm": 40.1, "top_mm": 7.0, "hole_pitch_mm": 0.0}))
+    servo = as_measured("ds3225", "disc", {"length_mm": 40.1, "top_mm": 7.0, "hole_pitch_mm": 0.0})
     assert (servo.length_mm, servo.width_mm, servo.horns[0].top_mm, servo.hole_pitch_mm) == (40.1, 20.0, 7.0, 0.0)
     with pytest.raises(ValidationError, match="got lenght_mm"):
         KitSettings(measured={"lenght_mm": 40.1})
-    for changes, said in (
-        ({"servo": "sg5010"}, r"'sg5010' is unknown, expected one of ds3225, hs85mg, mg90s, pdi6221mg"),
-        ({"measured": {"length_mm": 401}}, r"length_mm is 401, expected 20 to 80 mm"),
-        ({"measured": {"top_mm": 0}}, r"top_mm is 0, expected 3\.75 to 15 mm"),
+    for name, measured, said in (
+        ("sg5010", {}, r"'sg5010' is unknown, expected one of ds3225, hs85mg, mg90s, pdi6221mg"),
+        ("ds3225", {"length_mm": 401}, r"length_mm is 401, expected 20 to 80 mm"),
+        ("ds3225", {"top_mm": 0}, r"top_mm is 0, expected 3\.75 to 15 mm"),
     ):
         with pytest.raises(ServoError, match=said):
-            servo_of(KitSettings(**changes))
+            as_measured(name, "disc", measured)
 
 
 def floors(gauge: Gauge) -> list[float]:
@@ -39,15 +33,13 @@ def floors(gauge: Gauge) -> list[float]:
 
 
 @pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
-def test_parts_and_gauges_of_every_servo(crane, servo, horn):
+def test_the_gauges_of_every_servo(crane, servo, horn):
     settings = KitSettings(servo=servo, horn=horn)
-    kit = build_kit(crane, settings)
-    assert {part.body for part in kit.parts} == set(range(len(kit.mechanism.bodies)))
-    for printed in (*kit.parts, *kit.gauges):
-        assert printed.solid.is_valid and printed.solid.volume == pytest.approx(printed.volume_mm3, rel=1e-6)
+    kit = assemble(crane, settings)
+    gauges = gauges_of(kit.servo_joints, settings)
     # The ears lie on one gauge's plate, so that the case's top is flush; the horn lies on the floor of the other. The
     # gap between both is that of the layers.
-    case, (plate, recess) = kit.servo, (floors(gauge) for gauge in kit.gauges)
+    case, (plate, recess) = kit.servo, (floors(gauge) for gauge in gauges)
     assert plate[1] - plate[0] == pytest.approx(case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm)
     assert plate[2] - plate[1] == pytest.approx(3.0)  # of the pocket's rim
     assert case.horns[0].top_mm - (recess[2] - recess[1]) == pytest.approx(settings.layer_gap_mm)

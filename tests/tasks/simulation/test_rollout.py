@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from tasks.design import DesignError, Designs, random_designs
-from tasks.simulation import DIVERGED, OK, Rollouts, simulate
-from tasks.world import DryLand, Environment, Physics, RandomisedSlush, RandomisedSlushes, Slush, TrueSlush
-from tasks.world.medium import LinkStates, VelocityChange
+from tasks.simulation import OK, Rollouts, simulate
+from tasks.world import DryLand, Environment, Physics, RandomisedSlush, RandomisedSlushes, TrueSlush
 
 ENVIRONMENTS = [
     DryLand(0.0),
@@ -21,20 +20,6 @@ in_every_environment = pytest.mark.parametrize(
     "environment", ENVIRONMENTS, ids=["dry", "shallow", "deep", "two members"]
 )
 by_either_engine = pytest.mark.parametrize("engine", ["batch", "reference"])
-
-
-class Poisoned(Slush):
-    """The slush, but for links of one length, which get something that is no number when they sink."""
-
-    length: float = 0.0
-    what: str = "vx"
-    infinite: bool = False
-
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        change = vars(super().velocity_change(links, physics))
-        hit = (links.length_scale == np.float32(self.length)) & (links.y < 0)
-        poison = np.float32(np.inf if self.infinite else np.nan)
-        return VelocityChange(**{**change, self.what: np.where(hit, poison, change[self.what])})
 
 
 @pytest.fixture(scope="module")
@@ -65,24 +50,6 @@ def test_shapes_and_displacements_are_those_of_the_trace(designs: Designs, envir
     np.testing.assert_array_equal(rollouts.displacement, without.displacement)
     alone = short(designs[[4]], environment).trace
     np.testing.assert_array_equal(alone, np.take(rollouts.trace, [4], axis=len(members)))
-
-
-@pytest.mark.parametrize(("what", "infinite"), [("vx", False), ("vy", True), ("omega", False)])
-def test_a_rollout_that_diverges_touches_no_other(designs: Designs, what: str, infinite: bool) -> None:
-    ill = 2
-    medium = Poisoned(length=float(designs.length_scale[ill, 4]), what=what, infinite=infinite)
-    rollouts, healthy = short(designs, TrueSlush(9.0, medium)), short(designs, TrueSlush(9.0))
-    assert rollouts.status.tolist() == [OK, OK, DIVERGED, OK, OK, OK]
-    for name in ("trace", "motor_torque", "displacement", "com_displacement"):
-        got, expected = (np.delete(getattr(of, name), ill, axis=0) for of in (rollouts, healthy))
-        np.testing.assert_array_equal(got, expected)
-    assert np.isnan(rollouts.displacement[ill]) and np.isnan(rollouts.com_displacement[ill])
-    # Up to then it went like its healthy twin; from then on there is nothing, not even a stale state.
-    first_bad = int(np.argmin(np.isfinite(rollouts.trace[ill]).all(axis=(1, 2))))
-    assert 0 < first_bad < 100
-    for got, expected in ((rollouts.trace, healthy.trace), (rollouts.motor_torque, healthy.motor_torque)):
-        np.testing.assert_array_equal(got[ill, :first_bad], expected[ill, :first_bad])
-        assert np.isnan(got[ill, first_bad:]).all()
 
 
 @pytest.mark.parametrize("link_collisions", [False, True])

@@ -23,22 +23,6 @@ def test_the_lens_is_opencvs():
     assert BENT.distorted(rays) == pytest.approx(pixels[:, 0], abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("distortion", "expected"),
-    [
-        ((0.0, 0.0, 0.0), True),
-        ((*BENT.distortion[:2], 0.01), True),
-        ((-0.9, 0.0, 0.0), False),  # r - 0.9 r³ turns back at r = 0.61, and the corner lies at 0.74
-        ((-0.4, 0.0, 0.0), False),  # it turns back at 0.91, where the picture ends at 0.61
-        ((-0.9, 1.2, 0.0), True),  # 1 - 2.7 r² + 6 r⁴ has no root
-    ],
-)
-def test_a_distortion_is_used_only_where_rays_move_outward(distortion, expected):
-    k1, k2, k3 = distortion
-    lens = Lens((1500.0, 1500.0), (959.5, 539.5), (k1, k2, 0.0, 0.0, k3))
-    assert lens.is_monotonic(1920, 1080) == expected
-
-
 def test_a_fit_finds_the_plane():
     found, misfit = fit_plane(GRID, PLANE.pixels(GRID), BENT)
     assert misfit < 1e-6 and found.to_rays == pytest.approx(PLANE.to_rays / PLANE.to_rays[2, 2], abs=1e-7)

@@ -1,0 +1,172 @@
+"""Both batch engines against pybox2d: every float of every step, with ==, on designs drawn anew each time."""
+
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
+from links_in_box2d import ReferenceFreeLinks
+
+from tasks.design import Morphology, random_designs
+from tasks.residual.observation import INPUTS, OBSERVATION
+from tasks.residual.wetted import WETTED
+from tasks.simulation import batch, free_links
+from tasks.simulation.box2d import Column
+from tasks.simulation.simd import rotation
+from tasks.simulation.simd.lanes import widest
+from tasks.simulation.trees import packing
+from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world.anisotropic_slush import AnisotropicPool, AnisotropicSlush
+from tasks.world.flowing_slush import FlowingPool, FlowingSlush
+
+ENGINES: dict[str, dict[str, Any]] = {
+    "trees": {},
+    "rigid bodies, locked, colliding": {"passive_joints": "locked", "link_collisions": True},
+    "rigid bodies, locked": {"passive_joints": "locked"},
+    "rigid bodies, colliding": {"link_collisions": True},
+}
+AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torque=30.0)
+OTHER_PHYSICS: dict[str, dict[str, Any]] = {
+    "all other constants": OTHER_CONSTANTS,
+    "peak to peak": {"range_of_motion": "peak_to_peak"},
+    "slow motors": {"max_motor_speed": 0.4},
+}
+N_DESIGNS = 9
+"""Designs of each case, drawn anew in each run. pybox2d takes half a second for 1,400 steps of them."""
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="slow in Python; test_batch.py has a short one")
+on_land_and_in_slush = pytest.mark.parametrize("kind", [DryLand, TrueSlush])
+
+
+@pytest.fixture(params=ENGINES.values(), ids=ENGINES)
+def engine(request) -> dict[str, Any]:
+    """Physics that one of the engines computes."""
+    return request.param
+
+
+def test_sines_and_cosines_are_the_platform_s(same_libm: None, seed: int, sines) -> None:
+    for ours, theirs in sines(seed):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@on_land_and_in_slush
+@pytest.mark.parametrize("depth", [0.0, 0.3, 2.0, 9.0])
+def test_every_float_of_every_step(kind, depth: float, engine, same_libm: None, seed: int) -> None:
+    # Links of most random designs overlap at the spawn and push each other apart, if links collide.
+    n_settle, n_measure = (20, 280) if engine else (200, 1200)
+    designs = random_designs(N_DESIGNS, np.random.default_rng(seed))
+    motion = assert_equal(designs, kind(depth), Physics(**engine), n_settle=n_settle, n_measure=n_measure)
+    assert np.isfinite(motion.final).all()
+
+
+@pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(1.0)], ids=["dry", "slush"])
+def test_ends_of_groups_that_are_stepped_together(environment: Environment, same_libm: None, seed: int) -> None:
+    """Without a trace, as in a study, two groups are stepped together; the last has unused lanes."""
+    designs = random_designs(2 * widest() + 5, np.random.default_rng(seed))
+    assert_equal(designs, environment, Physics(), n_settle=200, n_measure=1200, trace=False)
+
+
+@pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(0.3), TrueSlush(2.0)], ids=str)
+def test_robots_that_can_be_built(environment: Environment, same_libm: None, seed: int) -> None:
+    morphology = Morphology(n_actuated=2, unjoined_links="apart")
+    designs = random_designs(N_DESIGNS, np.random.default_rng(seed), morphology=morphology)
+    motion = assert_equal(designs, environment, AS_BUILT, n_settle=20, n_measure=1380)
+    ghosts = AS_BUILT.model_copy(update={"link_collisions": False})
+    through_one_another = batch.roll_out(designs, environment, ghosts, n_settle=20, n_measure=1380, trace=False)
+    assert (motion.final != through_one_another.final).any()  # links did collide
+
+
+@on_land_and_in_slush
+@pytest.mark.parametrize("depth", [0.0, 2.0])
+def test_motors_far_beyond_the_paper_s_range(kind, depth: float, engine, same_libm: None, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    designs = wild(random_designs(N_DESIGNS, rng), rng, motor_on=0.9)
+    motion = assert_equal(designs, kind(depth), Physics(**engine, **STRONG_MOTORS), n_settle=100, n_measure=500)
+    assert abs(motion.final[..., Column.ANGLE]).max() > rotation.NEAR  # so that the other reduction of angles is met
+
+
+@pytest.mark.parametrize("changed", OTHER_PHYSICS.values(), ids=OTHER_PHYSICS)
+@pytest.mark.parametrize("environment", [DryLand(0.3), TrueSlush(0.3), TrueSlush(9.0)], ids=str)
+def test_other_physics(changed, environment: Environment, engine, same_libm: None, seed: int) -> None:
+    designs = random_designs(N_DESIGNS, np.random.default_rng(seed))
+    motion = assert_equal(designs, environment, Physics(**engine, **changed), n_settle=60, n_measure=280)
+    usual = batch.roll_out(designs, environment, Physics(**engine), n_settle=60, n_measure=280, trace=False)
+    assert (motion.final != usual.final).any(axis=(0, 2, 3)).mean() > 0.5
+
+
+@pytest.mark.parametrize("depth", [0.3, 9.0])
+def test_drag_by_component(depth: float, engine, same_libm: None, seed: int) -> None:
+    designs, environment = random_designs(12, np.random.default_rng(seed)), TrueSlush(depth, Slush(drag="by_component"))
+    motion = assert_equal(designs, environment, Physics(**engine), n_settle=60, n_measure=240)
+    usual = batch.roll_out(designs, TrueSlush(depth), Physics(**engine), n_settle=60, n_measure=240, trace=False)
+    assert (motion.final != usual.final).any(axis=(0, 2, 3)).mean() > 0.8
+
+
+@pytest.mark.parametrize(
+    ("environment", "physics"),
+    [(TrueSlush(0.5), Physics()), (TrueSlush(0.5), Physics(link_collisions=True)), (DryLand(0.0), AS_BUILT)],
+    ids=["trees", "rigid bodies, colliding", "as built"],
+)
+def test_every_tree(environment: Environment, physics: Physics, same_libm: None, seed: int) -> None:
+    designs = random_designs(len(packing.TREES), np.random.default_rng(seed))
+    designs = replace(designs, parent=np.array(packing.TREES))
+    assert_equal(designs, environment, physics, n_settle=20, n_measure=60)
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        *(AnisotropicPool(0.3), AnisotropicPool(2.5), FlowingPool(0.3), FlowingPool(2.5)),
+        *(ResidualSlush(depth, Slushes(1.25, 0.6)) for depth in (0.3, 2.5)),
+        ResidualSlush(0.5, Slushes(1.25, 0.6, precision=np.float64)),
+    ],
+    ids=lambda environment: f"{type(environment.medium).__name__} {environment.depth}",
+)
+def test_media_that_kernels_do_not_have(environment: Environment, engine, same_libm: None, seed: int) -> None:
+    designs = random_designs(11, np.random.default_rng(seed))
+    motion = assert_equal(designs, environment, Physics(**engine), n_settle=20, n_measure=280)
+    assert np.isfinite(motion.final).all() and motion.trace.shape == (environment.n_members, 11, 300, 6, 6)
+
+
+@pytest.mark.parametrize("trace", [True, False])
+@pytest.mark.parametrize(
+    ("inputs", "depth"), [(OBSERVATION, 0.7), (tuple(INPUTS), 0.7), (WETTED, 0.7), (WETTED, 0.0), (WETTED, 4.0)]
+)
+def test_residual_slush_of_networks(inputs, depth: float, trace: bool, engine, same_libm: None, seed: int) -> None:
+    """Without a trace, networks and engine are one kernel, whose vectors of 33 designs are partly those of both."""
+    rng = np.random.default_rng(seed)
+    designs = random_designs(13 if trace else 33, rng)
+    environment = ResidualSlush(depth, networks(rng, inputs))
+    assert_equal(designs, environment, Physics(**engine), n_settle=30, n_measure=170, trace=trace)
+
+
+@pytest.mark.parametrize("speed", [20.0, 200.0])
+@pytest.mark.parametrize(
+    "medium", [None, Slush(), AnisotropicSlush(), FlowingSlush()], ids=["dry", "slush", "anisotropic", "flowing"]
+)
+def test_throws(speed: float, medium: Medium | None, same_libm: None, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = 203
+    length_scale = rng.choice([1.0, 2.0, 3.0, 1.7], n)
+    state = rng.uniform(-1, 1, (n, 6)) * (0.2, 6, np.pi, speed, speed, speed)
+    state = theirs = state.astype(np.float32)
+    our_links = free_links.FreeLinks(length_scale, Physics())
+    their_links = ReferenceFreeLinks(length_scale, Physics())
+    for _ in range(200):
+        state, theirs = our_links.step(state, medium), their_links.step(theirs, medium)
+        np.testing.assert_array_equal(state, theirs)
+
+
+@pytest.mark.parametrize(
+    ("physics", "motor_on", "digests"),
+    [
+        (Physics(), 0.7, ("c138169907dfda72", "d94970aaba544355", "24271ddac0c048bf")),
+        (AS_BUILT, 0.5, ("7c93bc2fa22a46ee", "1e9bcaa9723a8311", "e31ac06a40e7f445")),
+    ],
+    ids=["trees", "rigid bodies"],
+)
+def test_traces_are_those_of_every_other_platform_and_compiler(physics: Physics, motor_on: float, digests) -> None:
+    environments = (DryLand(0.0), TrueSlush(1.0), TrueSlush(9.0))
+    assert tuple(golden_digest(environment, physics, motor_on=motor_on) for environment in environments) == digests
