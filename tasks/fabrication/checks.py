@@ -12,7 +12,6 @@ from typing import Literal
 
 from shapely.geometry.base import BaseGeometry
 
-from tasks.design import N_LINKS
 from tasks.fabrication.assembly import Assembly
 from tasks.fabrication.built_bodies import Pose, moved
 from tasks.fabrication.servo_joints import ServoJoint
@@ -43,18 +42,13 @@ def findings_of(assembly: Assembly) -> tuple[KitFinding, ...]:
 
 
 def _variant(assembly: Assembly) -> Iterator[KitFinding]:
-    mechanism, n = assembly.mechanism, len(assembly.mechanism.joints)
+    n = len(assembly.mechanism.joints)
     if n != _VARIANT_MOTORS:
         message = (
             f"{n} motors are on, the paper's physical variant has {_VARIANT_MOTORS}. The kit locks joints whose motor "
             f"is off; in the main experiments they swing freely"
         )
         yield KitFinding("warning", "design", message)
-    for first, second in combinations(range(N_LINKS), 2):
-        area = mechanism.links[first].intersection(mechanism.links[second]).area
-        if mechanism.parent_link[second] != first and area > _ROUNDING_MM2:
-            message = f"overlap by {area:.0f} mm² at rest without a joint, which the physical variant forbids"
-            yield KitFinding("warning", f"links {first} and {second}", message)
 
 
 def _travel(assembly: Assembly) -> Iterator[KitFinding]:

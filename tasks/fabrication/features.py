@@ -1,7 +1,7 @@
 """Features: the pockets and bores of a part, as outlines in the plane between two heights.
 
 Heights count from the part's back (0) to its face (the thickness), which faces the other layer. The same list makes the
-solid, its analytic volume, the DXF and the check of walls.
+solid, its analytic volume and the check of walls.
 """
 
 from collections.abc import Sequence

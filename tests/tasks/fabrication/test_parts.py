@@ -155,20 +155,19 @@ def test_a_part_with_a_servo_is_printed_with_its_pocket_upward(kit):
     assert top == pytest.approx(expected, rel=1e-3)
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize("outer", [True, False])
-def test_the_sense_of_a_servo(kit, side, outer):
+@pytest.mark.parametrize(
+    ("outer", "side", "shaft_z"), [(True, "left", 1), (True, "right", -1), (False, "left", -1), (False, "right", 1)]
+)
+def test_the_sense_of_a_servo(kit, outer, side, shaft_z):
     """The horn turns by `sense` about the shaft, along +z or -z, together with the child or the parent."""
     for servo_joint in kit.servo_joints:
-        for carrier in (servo_joint.joint.parent, servo_joint.joint.child):
-            one = replace(
-                servo_joint, carrier=carrier, driven=servo_joint.joint.parent + servo_joint.joint.child - carrier
-            )
-            shaft_z = 1 if (outer == (side == "left")) else -1
-            driven_turns = one.servo.sense * shaft_z
-            child_turns = driven_turns if one.driven == one.joint.child else -driven_turns
-            assert one.direction(carrier_is_outer=outer, side=side) == child_turns
-    for servo_joint in kit.servo_joints:  # the shaft points to the horn, away from the carrier's back
+        for carrier, child_turns in ((servo_joint.joint.parent, 1), (servo_joint.joint.child, -1)):
+            direction = replace(servo_joint, carrier=carrier).direction(carrier_is_outer=outer, side=side)
+            assert direction == servo_joint.servo.sense * shaft_z * child_turns
+
+
+def test_the_shaft_of_a_servo_points_to_its_horn(kit):
+    for servo_joint in kit.servo_joints:  # away from the carrier's back
         for where in servo_joint.sides(1):
             horn = next(b for b in kit.bought if b.name == f"horn of joint {servo_joint.joint.link}, {where}").solid
             carrier = part(kit, f"part-{servo_joint.carrier + 1}-{where}").solid

@@ -21,15 +21,6 @@ def test_a_bar_is_as_heavy_as_its_share_of_the_fluid():
         assert abs(bar.trim_g) < 0.01 * bar.mass_g and 0.4 < bar.infill < 0.5  # the paper's robot has 45 %
 
 
-def test_tags_have_white_paper_around_them():
-    """A square of a 4 × 4 tag is a sixth of its edge; as much paper surrounds it on every side."""
-    for bar in BARS:
-        module = bar.tag_mm / 6
-        assert (bar.width_mm - bar.tag_mm) / 2 >= module - 1e-9
-        assert bar.length_mm / 2 - bar.tag_at_mm - bar.tag_mm / 2 >= module - 1e-9
-        assert 2 * bar.tag_at_mm - bar.tag_mm >= module
-
-
 def test_the_mass_of_a_plate_is_that_of_its_solid():
     for bar in BARS:
         solid = plate_of(bar, KIT)

@@ -72,7 +72,7 @@ def test_every_order_size_and_number_of_lanes_gives_the_same_bits(designs: Desig
         np.testing.assert_array_equal(ends(designs[order], trace), whole[:, order])
     for n_designs in (1, 3, 7, 33):
         np.testing.assert_array_equal(ends(designs[-n_designs:]), whole[:, -n_designs:])
-    if physics is TREES:  # see test_lanes.py for all operations on other numbers of lanes
+    if physics is TREES and not hasattr(environment.medium, "networks"):  # whose kernel takes long to compile anew
         np.testing.assert_array_equal(ends(designs, n_lanes=widest() // 2), whole)
 
 

@@ -128,10 +128,10 @@ def test_a_bar_may_turn_back_at_a_contact_and_by_less_than_a_video_shows() -> No
 
 
 def test_degrees_are_told_from_radians(table: TrackTable) -> None:
-    turns = turned(table, 0.02)  # 28° and more, by a degree a frame
+    degrees = Tracks(file="tracks.csv", angle_unit="deg")
     with pytest.raises(TrackError, match=r"90% of the angles are at most \d\.\d+ deg, expected more than 6\.28: check"):
-        paths_of(turns, Tracks(file="tracks.csv", angle_unit="deg"))
-    paths_of(turned(table, 0.02, 180 / np.pi), Tracks(file="tracks.csv", angle_unit="deg"))
+        paths_of(turned(table, 0.02), degrees)  # 28° and more, by a degree a frame
+    paths_of(turned(table, 0.02, 180 / np.pi), degrees)
 
 
 def test_a_bar_that_bounces_jumps_nowhere(table: TrackTable) -> None:

@@ -1,7 +1,5 @@
 """Lanes under the compiler against NumPy's float32, lane by lane and bit by bit, for several numbers of lanes."""
 
-from fractions import Fraction
-
 import numba
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tasks.compiled import inline
-from tasks.simulation.simd.lanes import Block, floor, fma, select, sqrt, to_double, to_single, truncate
+from tasks.simulation.simd.lanes import Block, floor, select, sqrt, to_double, to_single, truncate
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="these are the compiled lanes")
 
@@ -64,22 +62,3 @@ def test_every_operation_equals_numpy_s_in_every_lane(numbers):
         block.rows[:] = numbers[:, :width]
         compiled_kernel(block, out)
         np.testing.assert_array_equal(out.rows, expected[:, :width])
-
-
-@numba.njit
-def fused(block, out):
-    a, b, c = to_double(block[0]) / 3.0, to_double(block[1]) / 7.0, to_double(block[2]) / 11.0
-    excess = fma(a, b, c) - (a * b + c)
-    out[0] = to_single(excess * 2.0**60)
-
-
-@settings(max_examples=50)
-@given(arrays(np.float32, (3, 16), elements=st.floats(-8, 8, width=32)))
-def test_fma_rounds_once(numbers):
-    block, out = Block(3, 16), Block(1, 16)
-    block.rows[:] = numbers
-    fused(block, out)
-    for i, (a, b, c) in enumerate(zip(*(numbers.astype(np.float64) / [[3], [7], [11]]), strict=True)):
-        exact = float(Fraction(a) * Fraction(b) + Fraction(c))
-        assert out.rows[0, i] == np.float32((exact - (a * b + c)) * 2.0**60)
-        assert fma(np.array([a]), b, c)[0] == exact
