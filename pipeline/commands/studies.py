@@ -162,6 +162,7 @@ def export(
         ),
     ] = None,
     kind: Annotated[Literal["parquet", "csv"], typer.Option("--format", help="Format of the tables.")] = "parquet",
+    mjcf: Annotated[bool, typer.Option("--mjcf", help="Write champions as models of MuJoCo (XML), too.")] = False,
     store: StorePath = DEFAULT_STORE,
 ) -> None:
     """Write champions, tables, figures and LaTeX to a folder.
@@ -171,7 +172,7 @@ def export(
     from pipeline.results.export_folder import export_study
 
     with interruptible():
-        to_stdout(*export_study(_opened(study, store), out, kind, tables=tables, say=to_stderr))
+        to_stdout(*export_study(_opened(study, store), out, kind, tables=tables, mjcf=mjcf, say=to_stderr))
 
 
 @with_options

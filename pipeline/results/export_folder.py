@@ -5,6 +5,7 @@
     export.json                     what made the folder, the settings, the progress, and the SHA-256 of every file
     settings.yaml                   the study's settings, for `puddle study --settings`
     champions/ARM-trial-N.json      a design file for each champion; ARM-trial-N-adapted.json: with adapted controller
+    champions/ARM-trial-N.xml       the same as a model of MuJoCo, where it was asked for
     tables/NAME.parquet or .csv     as study.tables names them
     tables/columns.csv              what every table holds, and type, unit and meaning of its columns
     figures/NAME.svg, .png, .pdf    five inches wide
@@ -39,11 +40,13 @@ from pipeline.results.study_tables import about
 from pipeline.stages.report import REPORT, read_page
 from pipeline.stages.transfer import ADAPTED, CHAMPION
 from pipeline.store import disk
-from pipeline.store.encoding import Json
+from pipeline.store.design_file import design_from
+from pipeline.store.encoding import Json, decode_json
 from pipeline.store.owned_folder import FolderKind, NewFolder
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import trials_of
 from tasks.analysis.tables.transfer import TransferRow
+from tasks.simulation.mjcf import mjcf as as_mjcf
 
 EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 
@@ -57,6 +60,7 @@ def export_study(
     kind: Literal["parquet", "csv"],
     *,
     tables: Sequence[str] | None = None,
+    mjcf: bool = False,
     say: Callable[[str], None],
 ) -> list[str]:
     """Write the folder, or nothing.
@@ -66,6 +70,7 @@ def export_study(
         out: the folder: a new one, an empty one, or an earlier export, which is replaced.
         kind: format of the tables.
         tables: names of the tables to write; if there are none, all of the study's but ``LARGE_TABLES``.
+        mjcf: whether to write champions as models of MuJoCo, too.
         say: shows what is being written.
 
     Returns:
@@ -96,7 +101,7 @@ def export_study(
         folder.write("results.json", results.encode() + b"\n")
         rows = page.rows("transfer")
         folder.write("transfer.tex", as_latex(TransferRow, rows, f"Transfer results of study {study.name}.").encode())
-        n_champions = _write_champions(study, folder)
+        n_champions = _write_champions(study, folder, mjcf)
         n_bytes = sum(map(study.table_bytes, chosen)) * (_CSV_PER_PARQUET if kind == "csv" else 1)
         say(f"writing {len(chosen)} tables, at most about {n_bytes / 1e6:,.1f} MB")
         n_rows = _write_tables(study, chosen, folder, kind)
@@ -117,15 +122,19 @@ def export_study(
     return [*lines, f"study {study.name}: {counts}: {place}"]
 
 
-def _write_champions(study: Study, folder: NewFolder) -> int:
-    """Write the design file of every champion, as it evolved and with its adapted controller; return their number."""
+def _write_champions(study: Study, folder: NewFolder, mjcf: bool) -> int:
+    """Write the design of every champion, as it evolved and with its adapted controller; return their number."""
     n_champions = 0
     for trial in trials_of(study.settings, "transfer"):
         scored = study.upstream["transfer"].done.get(trial, (None,))[-1]
         for file, suffix in ((CHAMPION, ""), (ADAPTED, "-adapted")):
             if scored is not None and file in scored.files:
-                name = f"{trial.environment}-{trial.depth:g}m-trial-{trial.index}{suffix}.json"
-                folder.write(f"champions/{name}", study.store.read(scored, file))
+                name = f"champions/{trial.environment}-{trial.depth:g}m-trial-{trial.index}{suffix}"
+                content = study.store.read(scored, file)
+                folder.write(f"{name}.json", content)
+                if mjcf:
+                    design = design_from(decode_json(content, name), name)
+                    folder.write(f"{name}.xml", as_mjcf(design, trial.depth, study.settings.physics).encode())
                 n_champions += file == CHAMPION
     return n_champions
 

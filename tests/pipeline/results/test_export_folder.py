@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
+import mujoco
 import polars as pl
 import pytest
 from command_line import call, refused
@@ -100,6 +101,15 @@ def test_csv_has_a_column_for_each_element(recorded, tmp_path, capsys):
     # Residual Slush has two members, the others one displacement.
     alone = flat["displacement_1"].is_null()
     assert alone.equals(~whole["environment"].is_in(["residual_slush"]).rename("displacement_1"))
+
+
+def test_champions_are_models_of_mujoco_too(recorded, exported, tmp_path):
+    to = ("--out", str(tmp_path / "out"), "--store", str(recorded))
+    assert call("export", "tiny", *to, "--table", "champions", "--mjcf") == 0
+    models = list((tmp_path / "out" / "champions").glob("*.xml"))
+    assert {path.stem for path in models} == {path.stem for path in (exported / "champions").glob("*.json")}
+    for path in models:
+        assert mujoco.MjModel.from_xml_path(str(path)).geom("ground").pos[2] == -1.0
 
 
 def test_tables_can_be_chosen(recorded, exported, tmp_path, capsys):
