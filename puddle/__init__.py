@@ -61,7 +61,7 @@ __version__ = importlib.metadata.version("puddle")
 def open_study(name: str, store: str | Path = "store") -> Study:
     """Open a recorded study, to read its settings, progress, tables and champions.
 
-    A study is what was recorded. Where today's code would make other results of its settings, a warning says so.
+    A study is what was recorded. Where a different version of the code made it, a warning says so.
 
     Raises PuddleError if there is no such store or study (the message lists the studies there are), or if the study's
     record is damaged.

@@ -16,8 +16,7 @@ from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_
 from pipeline.stages.replays import replay_in
 from pipeline.stages.train import TRAIN
 from pipeline.store import disk
-from pipeline.store.design_file import read_design
-from pipeline.store.design_table import read_designs
+from pipeline.store.design_file import read_design, read_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of

@@ -23,7 +23,7 @@ from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store, StudyRecord
-from pipeline.workflow.graph import Survey, survey
+from pipeline.workflow.graph import Survey, other_code, survey
 from pipeline.workflow.identity import trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import Upstream
@@ -81,8 +81,8 @@ class Study:
 
     @property
     def note(self) -> str:
-        """A line that says of which stages today's code would make other results; "" if of none."""
-        return self._recorded.note(self.name)
+        """A line that names the stages that other code made; "" if none."""
+        return other_code(self.upstream)
 
     @property
     def progress(self) -> dict[str, StageProgress]:
@@ -245,7 +245,7 @@ def _words(only: Mapping[str, Any]) -> str:
 
 
 def open_study(name: str, store: str | Path = "store", *, say: Callable[[str], None] | None = None) -> Study:
-    """Open a recorded study, and say in a line where today's code would make other results of its settings.
+    """Open a recorded study, and name in a line the stages that other code made.
 
     Raises:
         PuddleError: there is no store or no such study (the message lists those there are), or its record is damaged

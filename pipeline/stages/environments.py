@@ -71,7 +71,7 @@ def ensemble_of(networks: Mapping[NetworkId, Files]) -> EnsembleMedium:
     from tasks.residual.ensemble import Ensemble
 
     members = [
-        decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=network.label)[0]
+        decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=network.label)
         for network, files in networks.items()
     ]
     return Ensemble.from_members(members)

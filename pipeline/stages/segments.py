@@ -176,7 +176,7 @@ def _trial(spec: TrialSpec, inputs: Inputs) -> Trial:
 
 def population_of(files: Files) -> Population:
     """Decode a segment's survivors."""
-    arrays, _ = decode_arrays(files[POPULATION], schema="population", version=1, source=POPULATION)
+    arrays = decode_arrays(files[POPULATION], schema="population", version=1, source=POPULATION)
     return Population.from_arrays(arrays)
 
 

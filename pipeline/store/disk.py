@@ -54,30 +54,25 @@ def rmdir(path: Path) -> None:
 # -- built on the effects --------------------------------------------------------------------------------------------
 
 
-def temporary(path: Path) -> Path:
-    """Return the path of a file's content before it gets its final name."""
-    return path.with_name(f".{path.name}.tmp")
-
-
 def place(path: Path, data: bytes) -> None:
     """Write a file atomically: after a crash at any point it is complete under its name, or as it was before.
 
     The caller must hold a lock on the folder. An interrupted call leaves at most one temporary file, which the next
     call overwrites.
     """
-    write(temporary(path), data)
-    fsync(temporary(path))
-    rename(temporary(path), path)
+    temporary = path.with_name(f".{path.name}.tmp")
+    write(temporary, data)
+    fsync(temporary)
+    rename(temporary, path)
     fsync(path.parent)
 
 
-def resolved(path: Path) -> Path:
-    """Return an absolute path without links, ``~`` being the user's home; raise PuddleError if links lead nowhere."""
-    try:
-        return path.expanduser().resolve()
-    except (OSError, RuntimeError) as error:  # Python raises RuntimeError for an unknown home, and once did for a loop
-        reason = "its symbolic links lead in a circle" if "loop" in str(error).lower() else str(error)
-        raise PuddleError(f"{path}: expected a path that can be followed: {reason}. Choose another one.") from None
+def make_folders(folder: Path) -> None:
+    """Create a folder and those above it, and flush them."""
+    if not folder.is_dir():
+        make_folders(folder.parent)
+        mkdir(folder)
+        fsync(folder.parent)
 
 
 def unused(path: Path) -> Path:
@@ -88,12 +83,12 @@ def unused(path: Path) -> Path:
     return free
 
 
-def make_folders(root: Path, folder: Path) -> None:
-    """Create the folders between an existing root and a folder below it, and flush them."""
-    for path in reversed([path for path in (folder, *folder.parents) if path.is_relative_to(root) and path != root]):
-        if not path.is_dir():
-            mkdir(path)
-            fsync(path.parent)
+def resolved(path: Path) -> Path:
+    """Return an absolute path without links, ``~`` being the user's home; raise PuddleError if it leads nowhere."""
+    try:
+        return path.expanduser().resolve()
+    except (OSError, RuntimeError) as error:
+        raise PuddleError(f"{path}: expected a path that can be followed: {error}. Choose another one.") from None
 
 
 def digest_of(path: Path) -> str:
@@ -112,53 +107,43 @@ def size_bytes(folder: Path) -> int:
     return total
 
 
+class Locked(PuddleError):  # noqa: N818 (a state, not a fault)
+    """Another process holds a lock."""
+
+
 @contextlib.contextmanager
-def locked(path: Path, *, seconds: float = 120.0) -> Iterator[None]:
-    """Hold a lock file, waiting for other processes and threads; it is released when the process ends.
+def locked(path: Path, *, seconds: float = 120.0, kind: int = fcntl.LOCK_EX, create: bool = True) -> Iterator[int]:
+    """Hold a lock file; it is released when the process ends.
 
     Args:
         path: the lock file.
-        seconds: longest time to wait [s]; a commit takes milliseconds.
+        seconds: longest time to wait for other processes and threads [s]; a commit takes milliseconds.
+        kind: fcntl.LOCK_EX, or LOCK_SH for a lock that several may share.
+        create: whether to make the file if there is none, and open it for writing.
+
+    Yields:
+        The file's descriptor.
 
     Raises:
-        PuddleError: another process still holds it, as one does that is stopped (Ctrl-Z).
+        Locked: another process still holds it, as one does that is stopped (Ctrl-Z).
     """
-    with path.open("a+b") as file:
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT if create else os.O_RDONLY, 0o644)
+    try:
         end = time.monotonic() + seconds
         while True:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
                 break
             except BlockingIOError:
                 if time.monotonic() >= end:
-                    raise PuddleError(
+                    raise Locked(
                         f"{path} has been locked for {seconds:.0f} s by another process of puddle. Continue it if it "
                         f"is stopped (fg), or end it. Committed results are safe: the same command resumes."
                     ) from None
                 time.sleep(0.01)
-        yield
-
-
-def try_lock(path: Path, *, kind: int = fcntl.LOCK_EX, only_ask: bool = False) -> int | None:
-    """Return the descriptor of a lock file, which releases the lock when closed; None if the lock is taken.
-
-    Args:
-        path: the lock file.
-        kind: fcntl.LOCK_EX, or LOCK_SH for a shared lock.
-        only_ask: do not create the file. A query holds the lock for an instant, so other callers try for half a second.
-    """
-    flags = os.O_RDONLY if only_ask else os.O_RDWR | os.O_CREAT
-    descriptor = os.open(path, flags, 0o644)
-    deadline = time.monotonic() + (0.0 if only_ask else 0.5)
-    while True:
-        try:
-            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
-            return descriptor
-        except BlockingIOError:
-            if time.monotonic() >= deadline:
-                os.close(descriptor)
-                return None
-            time.sleep(0.02)
+        yield descriptor
+    finally:
+        os.close(descriptor)
 
 
 @contextlib.contextmanager

@@ -74,22 +74,12 @@ def decode_json(data: bytes, source: str) -> Any:
 
 
 def check_format(found: Any, *, schema: str, version: int, source: str) -> None:
-    """Refuse a document of another format.
-
-    Args:
-        found: the document, which should be a dict with ``schema`` and ``version``.
-        schema, version: the expected format.
-        source: the document's name in messages.
-
-    Raises:
-        PuddleError: the document has another format.
-        OtherVersion: it has another version of this format.
-    """
+    """Refuse a document, which messages call ``source``, of another schema (PuddleError) or version (OtherVersion)."""
     expected = f"expected {schema!r} version {version}"
-    if not isinstance(found, dict) or not isinstance(found.get("schema"), str) or type(found.get("version")) is not int:
-        raise PuddleError(f"{source}: {expected}, got a file that puddle did not write. Is it the right file?")
-    if found["schema"] != schema:
-        raise PuddleError(f"{source}: {expected}, got {found['schema']!r}. Is it the right file?")
+    if not isinstance(found, dict) or found.get("schema") != schema or not isinstance(found.get("version"), int):
+        got = found.get("schema") if isinstance(found, dict) else None
+        what = repr(got) if isinstance(got, str) else "a file that puddle did not write"
+        raise PuddleError(f"{source}: {expected}, got {what}. Is it the right file?")
     if found["version"] != version:
         advice = (
             "A newer puddle wrote it: upgrade puddle."
@@ -138,15 +128,8 @@ def encode_table(
 
     Raises:
         TypeError: Parquet would not return a column's type unchanged.
-        ValueError: the shapes do not form a table, or a unit belongs to no column.
     """
     arrays = {name: _pure_array(array, name) for name, array in columns.items()}
-    n_rows = {array.shape[0] if array.ndim in (1, 2) and 0 not in array.shape[1:] else -1 for array in arrays.values()}
-    if len(n_rows) != 1 or -1 in n_rows:
-        shapes = {name: array.shape for name, array in arrays.items()}
-        raise ValueError(f"table {schema!r}: expected columns of (n_rows,) or (n_rows, k), got {shapes}")
-    if strangers := set(units or {}) - set(arrays):
-        raise ValueError(f"table {schema!r}: units for {sorted(strangers)}, which are not columns")
     label = _label(arrays, {"schema": schema, "version": version, "producer": producer, "units": dict(units or {})})
     parts = [_arrow_column(array) for array in arrays.values()]
     fields = [pa.field(name, part.type, nullable=False) for name, part in zip(arrays, parts, strict=True)]
@@ -158,12 +141,7 @@ def encode_table(
 
 
 def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Array]:
-    """Return the columns of a table by name, as new, writable, C-contiguous arrays.
-
-    Args:
-        data: the Parquet file.
-        schema, version: the expected format.
-        source: the table's name in messages.
+    """Return the columns of a table, which messages call ``source``, as new, writable, C-contiguous arrays by name.
 
     Raises:
         PuddleError: the data are damaged or have another format.
@@ -179,11 +157,11 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
 
 def units_of(data: bytes, source: str) -> dict[str, str]:
     """Return the units that a table states, by column; ``source`` is its name in messages."""
-    return dict(_label_of(pq.ParquetFile(pa.BufferReader(data)), source).get("units", {}))
+    return dict(_label_of(pq.ParquetFile(pa.BufferReader(data)), source)["units"])
 
 
 def _label_of(file: pq.ParquetFile, source: str) -> Any:
-    return _read_label((file.metadata.metadata or {}).get(_METADATA_KEY.encode()), source)
+    return decode_json((file.metadata.metadata or {}).get(_METADATA_KEY.encode(), b"null"), source)
 
 
 def _arrow_column(array: Array) -> pa.Array:
@@ -208,14 +186,11 @@ def _numpy_column(column: pa.ChunkedArray) -> Array:
 # -- arrays: safetensors ---------------------------------------------------------------------------------------------
 
 
-def encode_arrays(
-    arrays: Mapping[str, Array], metadata: Mapping[str, str] | None = None, *, schema: str, version: int, producer: str
-) -> bytes:
-    """Return arrays of any shape, such as a network's weights, as a safetensors file.
+def encode_arrays(arrays: Mapping[str, Array], *, schema: str, version: int, producer: str) -> bytes:
+    """Return numbers or flags of any shape by name, such as a network's weights, as a safetensors file.
 
     Args:
-        arrays: numbers or flags by name; the order of names does not matter.
-        metadata: further text by name.
+        arrays: by name, in any order.
         schema, version: the format.
         producer: key of the work item that produced them.
 
@@ -223,18 +198,12 @@ def encode_arrays(
         TypeError: safetensors would not return an array's type unchanged.
     """
     pure = {name: _pure_array(arrays[name], name, text=False) for name in sorted(arrays)}
-    texts = dict(metadata or {})
-    label = _label(pure, {"schema": schema, "version": version, "producer": producer, "metadata": texts})
+    label = _label(pure, {"schema": schema, "version": version, "producer": producer, "metadata": {}})
     return bytes(safetensors.numpy.save(pure, metadata={_METADATA_KEY: label}))
 
 
-def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return new, writable arrays by sorted name, and their metadata.
-
-    Args:
-        data: the safetensors file.
-        schema, version: the expected format.
-        source: the file's name in messages.
+def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Array]:
+    """Return new, writable arrays by sorted name from a safetensors file, which messages call ``source``.
 
     Raises:
         PuddleError: the data are damaged or have another format.
@@ -244,10 +213,9 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> tup
     except SafetensorError as error:
         raise PuddleError(f"{source}: expected a safetensors file of {schema!r} version {version}: {error}") from None
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    said = header.get("__metadata__", {}).get(_METADATA_KEY)
-    label = _read_label(None if said is None else said.encode(), source)
-    check_format(label, schema=schema, version=version, source=source)
-    return {name: np.array(loaded[name]) for name in sorted(loaded)}, label["metadata"]  # the loaded ones are read-only
+    label = header.get("__metadata__", {}).get(_METADATA_KEY, "null")
+    check_format(decode_json(label.encode(), source), schema=schema, version=version, source=source)
+    return {name: np.array(loaded[name]) for name in sorted(loaded)}  # the loaded ones are read-only
 
 
 # -- the label of tables and arrays ----------------------------------------------------------------------------------
@@ -264,18 +232,9 @@ def _pure_array(array: Array, name: str, *, text: bool = True) -> Array:
 
 def _label(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
     """Return a file's label: its metadata and a SHA-256 over that and every name, type, shape and value."""
-    return canonical_json({**said, "sha256": _content_digest(arrays, said)}).decode()
-
-
-def _content_digest(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
     kinds = ["text" if array.dtype.kind == "U" else array.dtype.str for array in arrays.values()]
     shapes: list[Json] = [[name, kind, arrays[name].shape] for name, kind in zip(arrays, kinds, strict=True)]
     content = hashlib.sha256(canonical_json([said, shapes]))
     for array in arrays.values():
         content.update(canonical_json(array.tolist()) if array.dtype.kind == "U" else array.data)
-    return content.hexdigest()
-
-
-def _read_label(said: bytes | None, source: str) -> dict[str, Any]:
-    label = None if said is None else decode_json(said, f"{source}, metadata {_METADATA_KEY!r}")
-    return label if isinstance(label, dict) else {}
+    return canonical_json({**said, "sha256": content.hexdigest()}).decode()

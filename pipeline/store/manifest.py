@@ -1,7 +1,6 @@
 """Manifests, which describe the items of a store."""
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +10,6 @@ from pipeline.store.encoding import Json, canonical_json, decode_document, diges
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
 MANIFEST = "manifest.json"
-
-_FILE_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}(\.[a-z0-9]{1,16})?")
 
 
 @dataclass(frozen=True)
@@ -40,9 +37,7 @@ class Manifest:
         return digest(canonical_json([[name, entry.sha256] for name, entry in sorted(self.files.items())]))
 
 
-def are_file_names(names: Iterable[str]) -> bool:
-    """Check an item's file names: 1 to 64 of a-z, 0-9, _ and -, and at most one suffix."""
-    return all(_FILE_NAME.fullmatch(name) and name != MANIFEST for name in names)
+_PLAIN_FIELDS = ("stage", "key", "identity", "environment", "record")
 
 
 def encode_manifest(manifest: Manifest) -> bytes:
@@ -66,17 +61,14 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
     """
     body = decode_document(data, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION, source=source)
     try:
-        files = {name: FileEntry(str(entry["sha256"]), int(entry["bytes"])) for name, entry in body["files"].items()}
-        manifest = Manifest(
-            body["stage"], body["key"], body["identity"], files, dict(body["environment"]), dict(body["record"])
-        )
-        found = key_of(manifest.identity)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        files = {name: FileEntry(entry["sha256"], entry["bytes"]) for name, entry in body["files"].items()}
+        manifest = Manifest(files=files, **{field: body[field] for field in _PLAIN_FIELDS})
+        found = manifest.stage, manifest.key, key_of(manifest.identity), manifest.digest
+    except (KeyError, TypeError, AttributeError) as error:
         raise DamagedArtifact(f"{source}: expected a manifest's fields: {error!r}") from None
-    if (manifest.stage, manifest.key, found) != (stage, key, key):
-        raise DamagedArtifact(f"{source}: expected {stage} {key}, got {manifest.stage} {manifest.key}")
-    if body.get("digest") != manifest.digest:
-        raise DamagedArtifact(f"{source}: expected digest {body.get('digest')}, got {manifest.digest}")
+    if found != (stage, key, key, body.get("digest")):
+        expected = f"expected {stage} {key} of digest {body.get('digest')}"
+        raise DamagedArtifact(f"{source}: {expected}, got {manifest.stage} {manifest.key} of digest {manifest.digest}")
     return manifest
 
 

@@ -26,18 +26,13 @@ class NewFolder:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file."""
-        disk.write(self.place(name), content)
+        self.place(name).write_bytes(content)
 
     def place(self, name: str) -> Path:
         """Return the path at which to write a file."""
         path = self.path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
-
-    def digests(self) -> dict[str, str]:
-        """Return the SHA-256 of every file by name."""
-        paths = [path for path in sorted(self.path.rglob("*")) if path.is_file()]
-        return {path.relative_to(self.path).as_posix(): disk.digest_of(path) for path in paths}
 
 
 @dataclass(frozen=True)
@@ -53,27 +48,20 @@ class FolderKind:
         """Return the resolved path of a folder that is new, empty or of this kind. Raises PuddleError for any other."""
         with disk.explained("looking for the folder", folder, advice="run the same command again"):
             self._earlier(folder)
-            return disk.resolved(folder)
+        return disk.resolved(folder)
 
-    def _earlier(self, folder: Path) -> dict[str, str]:
+    def _earlier(self, folder: Path) -> Mapping[str, str]:
         """Return the SHA-256 of every file that an earlier run wrote, by name."""
-        expected, other = f"expected a new folder or {self.word}", "Choose another one with --out."
-        if not folder.exists():
-            if not folder.parent.is_dir():
-                advice = "Create it, or choose another folder with --out."
-                raise PuddleError(f"{folder}: {folder.parent} does not exist. {advice}")
-            return {}
-        if not folder.is_dir():
-            raise PuddleError(f"{folder}: {expected}, found a file. {other}")
-        names = sorted(path.name for path in folder.iterdir())
-        if not names:
-            return {}
-        if self.manifest not in names:
-            raise PuddleError(f"{folder}: {expected}, found {', '.join(names[:3])} and no {self.manifest}. {other}")
-        source = str(folder / self.manifest)
-        document = decode_json((folder / self.manifest).read_bytes(), source)
-        check_format(document, schema=self.schema, version=self.version, source=source)
-        return dict(document["files"])
+        source = folder / self.manifest
+        if source.is_file():
+            document = decode_json(source.read_bytes(), str(source))
+            check_format(document, schema=self.schema, version=self.version, source=str(source))
+            return dict(document["files"])
+        if not folder.parent.is_dir() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
+            found = "a file" if folder.is_file() else f"no {source if folder.exists() else folder.parent}"
+            expected = f"expected a new folder or {self.word}"
+            raise PuddleError(f"{folder}: {expected}, found {found}. Choose another one with --out.")
+        return {}
 
     @contextlib.contextmanager
     def replace(self, folder: Path, manifest: Mapping[str, Json]) -> Iterator[NewFolder]:
@@ -96,7 +84,9 @@ class FolderKind:
         ):
             new = NewFolder(Path(beside))
             yield new
-            digests, earlier = new.digests(), self._earlier(folder)
+            written = [path for path in sorted(new.path.rglob("*")) if path.is_file()]
+            digests = {path.relative_to(new.path).as_posix(): disk.digest_of(path) for path in written}
+            earlier = self._earlier(folder)
             for name in sorted({*digests, *earlier}):
                 path = folder / name
                 found = disk.digest_of(path) if path.is_file() else None
@@ -108,5 +98,5 @@ class FolderKind:
                     disk.rename(new.path / name, path)
                 else:
                     disk.unlink(path)
-            named: dict[str, Json] = {**manifest, "schema": self.schema, "version": self.version, "files": {**digests}}
-            disk.place(folder / self.manifest, encode_json(named))
+            whole: dict[str, Json] = {**manifest, "schema": self.schema, "version": self.version, "files": digests}
+            disk.place(folder / self.manifest, encode_json(whole))

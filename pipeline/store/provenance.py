@@ -12,14 +12,8 @@ _PACKAGES = ("puddle", "Box2D", "mlflow", "numba", "numpy", "pyarrow", "ray", "s
 @functools.cache
 def environment() -> dict[str, str]:
     """Return the versions of Python and the packages, the commit of the code, the system and the CPU's model."""
-    versions = {}
-    for package in _PACKAGES:
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            versions[package] = "not installed"
     return {
-        **versions,
+        **{package: _version(package) for package in _PACKAGES},
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "cpu": _cpu_model(),
@@ -27,22 +21,22 @@ def environment() -> dict[str, str]:
     }
 
 
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
 def _commit(checkout: Path) -> str:
     """Return the commit that is checked out, with ``-dirty`` if files differ from it."""
     if not (checkout / ".git").exists():  # an installed package may lie inside some other checkout
         return "not a checkout"
+    command = ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
     try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"],
-            cwd=checkout,
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=True,
-        )
+        return subprocess.check_output(command, cwd=checkout, text=True, timeout=10, stderr=subprocess.DEVNULL).strip()
     except (OSError, subprocess.SubprocessError):
         return "unknown"
-    return described.stdout.strip()
 
 
 def _cpu_model() -> str:

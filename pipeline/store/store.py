@@ -31,15 +31,18 @@ from pydantic import TypeAdapter, ValidationError
 
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store import disk
-from pipeline.store.encoding import Json, decode_document, encode_document
+from pipeline.store.encoding import decode_document, encode_document
 from pipeline.store.items import Items, check_name
-from pipeline.store.manifest import Manifest, are_file_names
 
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
 WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."  # advice for a study's record
 _GONE_GROUPS = {"pilot"}  # settings of earlier versions, on which no result of today's stages depends
+
+
+_SECONDS_TO_LOCK = 0.5  # a query holds a lock for an instant
+_WAIT = "Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
 
 
 class StudyItem(NamedTuple):
@@ -69,12 +72,6 @@ class StudyRecord:
     source: str = ""  # "preset laptop" or the path of a settings file; empty if unknown
 
 
-class _Use(NamedTuple):
-    study: str
-    label: str  # of the item, in the study
-    driven: bool  # whether a process drives the study
-
-
 @dataclass(frozen=True)
 class Store(Items):
     """An existing store; see :meth:`open`."""
@@ -85,26 +82,22 @@ class Store(Items):
         root = disk.resolved(root)
         path = root / "store.json"
         with disk.explained("opening the store", root):
-            if not path.exists():
-                if not create:
-                    advice = "Name the folder of an existing store, or run a study to create one."
-                    raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
+            if not path.exists() and create:
                 cls._create(root)
-            try:
-                decode_document(path.read_bytes(), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
-            except DamagedArtifact as damage:
-                raise DamagedArtifact(f"{damage}. Copy store.json from any other store: all are alike.") from None
+            elif not path.exists():
+                advice = "Name the folder of an existing store, or run a study to create one."
+                raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
+            decode_document(path.read_bytes(), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
         return cls(root)
 
     @classmethod
     def _create(cls, root: Path) -> None:
-        disk.make_folders(next(path for path in (root, *root.parents) if path.exists()), root)
-        own = {"commit.lock", "use.lock", "store.json", disk.temporary(root / "store.json").name}
-        strangers = sorted({path.name for path in root.iterdir()} - own)
-        if strangers and not (root / "store.json").exists():  # in this order: another process may be making it
+        disk.make_folders(root)
+        others = sorted({path.name for path in root.iterdir()} - {"commit.lock", ".store.json.tmp"})
+        if others and not (root / "store.json").exists():  # in this order: another process may be making it
             raise PuddleError(
-                f"{root}: expected a store, or an empty folder to create one in, found {', '.join(strangers[:3])}"
-                f"{' and more' if len(strangers) > 3 else ''}. Choose another folder."
+                f"{root}: expected a store, or an empty folder to create one in, found {', '.join(others[:3])}"
+                f"{' and more' if len(others) > 3 else ''}. Choose another folder."
             )
         with disk.locked(root / "commit.lock"):
             disk.place(root / "store.json", encode_document({}, schema=STORE_SCHEMA, version=STORE_VERSION))
@@ -112,7 +105,7 @@ class Store(Items):
     def verify(
         self, study: str | None = None, *, checked: Callable[[int], object] = lambda n_bytes: None
     ) -> list[PuddleError]:
-        """Hash everything again: items, records of studies and their exported reports; or those of one study.
+        """Hash every item again, and read the records of studies; or those of one study.
 
         Args:
             study: name of the only study to verify.
@@ -123,43 +116,29 @@ class Store(Items):
             file of a newer puddle is an OtherVersion, because discarding would not mend it.
         """
         wrong: list[PuddleError] = []
-        uses = {item: list[_Use]() for item in (self.items() if study is None else ())}
+        items = dict.fromkeys(self.items() if study is None else (), "an item")
         for name in self._names("studies") if study is None else [study]:
-            driven = self.driver_of(name) is not None  # asked first: a driver writes the record, then the report
             try:
                 record = self.read_study(name)
-                if record is None and not driven:
+                if record is None and self.driver_of(name) is None:
                     path = self.study_path(name) / "study.json"
                     raise DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}")
+                for item in record.items if record else ():
+                    items[item.stage, item.key] = f"study {name}'s {item.stage} {item.label}"
             except PuddleError as error:
                 wrong.append(error)
-                continue
-            for item in record.items if record else ():
-                uses.setdefault((item.stage, item.key), []).append(_Use(name, item.label, driven))
-        for (stage, key), used in sorted(uses.items()):
+        for (stage, key), what in sorted(items.items()):
+            n_bytes = 0
             try:
-                manifest = self.verified(stage, key)
-                if manifest is None:
-                    what = f"the manifest of study {used[0].study}'s {stage} {used[0].label}"
-                    raise self._damaged(stage, key, f"{self.manifest_path(stage, key)}: expected {what}, found no file")
-                checked(sum(entry.n_bytes for entry in manifest.files.values()))
-                for use in used if stage == "report" else ():
-                    if not use.driven:
-                        wrong += self._check_export(use.study, manifest)
+                with self._damage(stage, key):
+                    if (manifest := self.manifest(stage, key, hashed=True)) is None:
+                        path = self.manifest_path(stage, key)
+                        raise DamagedArtifact(f"{path}: expected the manifest of {what}, found no file")
+                n_bytes = sum(entry.n_bytes for entry in manifest.files.values())
             except PuddleError as error:
                 wrong.append(error)
-                checked(0)
+            checked(n_bytes)
         return wrong
-
-    def _check_export(self, name: str, manifest: Manifest) -> Iterator[PuddleError]:
-        """Yield what differs in a study's exported report from the item that it is a copy of."""
-        for file, entry in manifest.files.items():
-            path = self.export_path(name) / file
-            with disk.explained("reading the report", path):
-                found = disk.digest_of(path) if path.is_file() else "no file"
-            if found != entry.sha256:
-                advice = f"It is a copy of a file in the store: running study {name} restores it."
-                yield DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, found {found}. {advice}")
 
     def size_bytes(self) -> int:
         """Return the total length of all files [bytes]."""
@@ -169,12 +148,13 @@ class Store(Items):
 
     def write_study(self, record: StudyRecord) -> None:
         """Write the record of a study, replacing the earlier one."""
-        name, folder = record.name, self.study_path(record.name)
-        rows = {"items": list(map(list, record.items)), "failed": list(map(list, record.failed))}
-        body: dict[str, Json] = {"name": name, "settings": record.settings, "source": record.source, **rows}
-        data = encode_document(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
-        with disk.explained(f"writing the record of study {name}", self.root), disk.locked(self.root / "commit.lock"):
-            disk.make_folders(self.root, folder)
+        folder = self.study_path(record.name)
+        data = encode_document(_RECORD.dump_python(record, mode="json"), schema=STUDY_SCHEMA, version=STUDY_VERSION)
+        with (
+            disk.explained(f"writing the record of study {record.name}", self.root),
+            disk.locked(self.root / "commit.lock"),
+        ):
+            disk.make_folders(folder)
             disk.place(folder / "study.json", data)
 
     def read_study(self, name: str) -> StudyRecord | None:
@@ -191,8 +171,6 @@ class Store(Items):
         try:
             body = decode_document(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
             record = _RECORD.validate_python(body)
-            if record.name != name:
-                raise DamagedArtifact(f"{path}: it is that of study {record.name}")
             kept = {group: chosen for group, chosen in record.settings.items() if group not in _GONE_GROUPS}
             return replace(record, settings=kept)
         except (DamagedArtifact, ValidationError) as error:
@@ -203,7 +181,7 @@ class Store(Items):
     def studies(self, *, recorded: bool = True) -> list[str]:
         """Return the names of the studies that have a record, or of those that have lost it."""
         names = self._names("studies")
-        return [name for name in names if os.path.lexists(self.study_path(name) / "study.json") == recorded]
+        return [name for name in names if (self.study_path(name) / "study.json").exists() == recorded]
 
     @contextlib.contextmanager
     def lock_study(self, name: str) -> Iterator[None]:
@@ -211,21 +189,19 @@ class Store(Items):
 
         The store is locked first, so that `puddle gc` never sees the folder of a study that has only just begun.
         """
+
+        def taken() -> str:
+            driver = self.driver_of(name) or "a process that has just ended"
+            return f"study {name} is driven by {driver}. {_WAIT}"
+
         folder = self.study_path(name)
-        with contextlib.ExitStack() as held:
-            with disk.explained(f"locking study {name}", self.root):
-                self._share(held)
-                disk.make_folders(self.root, folder)
-                descriptor = disk.try_lock(folder / "driver.lock")
-                if descriptor is None:
-                    raise PuddleError(
-                        f"study {name} is driven by {self.driver_of(name) or 'a process that has just ended'}. "
-                        f"Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
-                    )
-                held.callback(os.close, descriptor)
+        with self._lock("use.lock", self._is_removing, kind=fcntl.LOCK_SH):
+            with disk.explained(f"making the folder of study {name}", self.root):
+                disk.make_folders(folder)
+            with self._lock(f"studies/{name}/driver.lock", taken) as descriptor:
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, _signature())
-            yield
+                yield
 
     @contextlib.contextmanager
     def lock_to_read(self) -> Iterator[None]:
@@ -234,54 +210,57 @@ class Store(Items):
         Nothing is written, so that a store on a read-only disk, or another user's, can be read too. A store without a
         lock file has never been driven on this machine, and nothing has been removed from it.
         """
-        with contextlib.ExitStack() as held:
-            with disk.explained("locking the store", self.root), contextlib.suppress(FileNotFoundError):
-                self._share(held, only_ask=True)
+        driven = (self.root / "use.lock").exists()
+        lock = self._lock("use.lock", self._is_removing, kind=fcntl.LOCK_SH, create=False)
+        with lock if driven else contextlib.nullcontext():
             yield
-
-    def _share(self, held: contextlib.ExitStack, *, only_ask: bool = False) -> None:
-        in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH, only_ask=only_ask)
-        if in_use is None:
-            raise PuddleError(f"{self.root}: another process of puddle is removing items. Wait until it ends.")
-        held.callback(os.close, in_use)
 
     @contextlib.contextmanager
     def lock_all(self) -> Iterator[None]:
         """Become the only process that uses the store, so that no study is driven; the error names a driver."""
-        with disk.explained("locking the store", self.root):
-            descriptor = disk.try_lock(self.root / "use.lock")
-        if descriptor is None:
+
+        def taken() -> str:
             drivers = {name: self.driver_of(name) for name in self._names("studies")}
             driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
-            raise PuddleError(
-                f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle reads it'}. Wait until it "
-                f"ends, or stop it (Ctrl-C); its committed results are safe."
-            )
-        try:
+            return f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle reads it'}. {_WAIT}"
+
+        with self._lock("use.lock", taken):
             yield
-        finally:
-            os.close(descriptor)
+
+    def _is_removing(self) -> str:
+        return f"{self.root}: another process of puddle is removing items. Wait until it ends."
+
+    @contextlib.contextmanager
+    def _lock(
+        self, name: str, taken: Callable[[], str], *, kind: int = fcntl.LOCK_EX, create: bool = True
+    ) -> Iterator[int]:
+        """Hold one of the store's lock files, or raise a PuddleError that says who does."""
+        with contextlib.ExitStack() as held:
+            with disk.explained("locking the store", self.root):
+                try:
+                    lock = disk.locked(self.root / name, seconds=_SECONDS_TO_LOCK, kind=kind, create=create)
+                    descriptor = held.enter_context(lock)
+                except disk.Locked:
+                    raise PuddleError(taken()) from None
+            yield descriptor
 
     def driver_of(self, name: str) -> str | None:
         """Describe the process that drives a study; None if none does."""
         path = self.study_path(name) / "driver.lock"
         with disk.explained(f"asking who drives study {name}", self.root):
             try:
-                descriptor = disk.try_lock(path, kind=fcntl.LOCK_SH, only_ask=True)
+                with disk.locked(path, seconds=0.0, kind=fcntl.LOCK_SH, create=False):
+                    return None
             except FileNotFoundError:
                 return None
-            if descriptor is None:
+            except disk.Locked:
                 return path.read_text() or "another process, which has only just started"
-            os.close(descriptor)
-            return None
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
         """Write a study's report to its folder, over the earlier one, and return the folder."""
-        if not are_file_names(files):
-            raise ValueError(f"study {name}: expected file names like index.html, got {sorted(files)}")
         folder = self.export_path(name)
         with disk.explained(f"exporting study {name}", self.root), disk.locked(self.root / "commit.lock"):
-            disk.make_folders(self.root, folder)
+            disk.make_folders(folder)
             for file, data in sorted(files.items()):
                 disk.place(folder / file, data)
         return folder

@@ -1,7 +1,6 @@
 """Tracks files: tracked throws of bars as CSV or Parquet, and the bars, in the same file or one of their own.
 
-Nothing is guessed: a file of another program or in another notation is recognised by foreign_tracks.py and refused with
-the lines that convert it.
+Nothing is guessed: docs/your-own-tank.md converts the files of other programs.
 """
 
 from __future__ import annotations
@@ -13,16 +12,14 @@ import pyarrow as pa
 import pyarrow.csv
 
 from pipeline.errors import PuddleError
-from pipeline.store.design_table import read_parquet
-from pipeline.store.foreign_tracks import conversion_of_parquet, conversion_of_text
-from tasks.arrays import Float64
+from pipeline.store.design_file import read_parquet
+from tasks.arrays import Float64, Int64
 from tasks.tracks import Bars, TrackTable
 
 TRACK_COLUMNS = ("throw", "time", "x", "y", "angle")
 DEVIATION_COLUMNS = ("x_sd", "y_sd", "angle_sd")
 BAR_COLUMNS = ("length", "width", "mass")
-_MOST_BYTES = 2**30
-_PARQUET = b"PAR1"
+_KNOWN = (*TRACK_COLUMNS, *DEVIATION_COLUMNS, *BAR_COLUMNS)
 
 TrackColumns = Mapping[str, Float64]
 
@@ -37,37 +34,21 @@ def read_track_columns(content: bytes, name: str) -> TrackColumns:
     Raises:
         PuddleError: it is neither, or a cell is not a number; the message names the line or the column.
     """
-    if len(content) > _MOST_BYTES:
-        raise PuddleError(f"{name}: expected at most {_MOST_BYTES:,} bytes, got {len(content):,}. Split the throws")
-    kind = "Parquet" if content[:4] == _PARQUET else "CSV"
-    if kind == "CSV" and (conversion := conversion_of_text(content, name, _KNOWN)):
-        raise PuddleError(conversion)
     try:
-        table = read_parquet(pa.BufferReader(content)) if kind == "Parquet" else _read_csv(content, name)
-        if conversion := conversion_of_parquet({field.name: str(field.type) for field in table.schema}, name):
-            raise PuddleError(conversion)
-        known = [column for column in table.column_names if column in _KNOWN]
-        if repeated := sorted({column for column in known if known.count(column) > 1}):
-            raise PuddleError(f"{name}: the column {repeated[0]} appears twice, expected each once")
-        columns = {column: table[column].cast(pa.float64()).to_numpy() for column in known}
-    except (pa.ArrowException, OSError) as error:
-        raise PuddleError(f"{name}: cannot be read as {kind}: {error}. Expected CSV (UTF-8) or Parquet") from None
+        table = read_parquet(content) if content[:4] == b"PAR1" else _read_csv(content)
+        columns = {
+            column: table[column].cast(pa.float64()).to_numpy() for column in table.column_names if column in _KNOWN
+        }
+    except (pa.ArrowException, KeyError, OSError) as error:  # KeyError: a column appears twice
+        raise PuddleError(f"{name}: expected CSV (UTF-8) or Parquet with a row for each frame: {error}") from None
     if not len(table):
         raise PuddleError(f"{name}: expected a row for each frame, got none")
     if not columns:
-        raise PuddleError(
-            f"{name}: expected columns named {', '.join(TRACK_COLUMNS)}, got {', '.join(table.column_names)[:80]}"
-        )
+        _require(dict.fromkeys(table.column_names), TRACK_COLUMNS, name)
     return columns
 
 
-_KNOWN = (*TRACK_COLUMNS, *DEVIATION_COLUMNS, *BAR_COLUMNS)
-
-
-def _read_csv(content: bytes, name: str) -> pa.Table:
-    """Read CSV; the columns that count are numbers, and a message names the cell that is none."""
-    if not content.strip():
-        raise PuddleError(f"{name}: expected a row for each frame, got none")
+def _read_csv(content: bytes) -> pa.Table:
     heading = content.partition(b"\n")[0].removeprefix(b"\xef\xbb\xbf").decode(errors="replace").split(",")
     numbers = {column: pa.float64() for column in heading if column.strip() in _KNOWN}
     table = pa.csv.read_csv(
@@ -79,16 +60,9 @@ def _read_csv(content: bytes, name: str) -> pa.Table:
 
 
 def track_table(columns: TrackColumns, name: str) -> TrackTable:
-    """Return the tracks among columns.
-
-    Raises:
-        PuddleError: a column is missing.
-    """
-    _require(columns, TRACK_COLUMNS, name)
-    stated = [column for column in DEVIATION_COLUMNS if column in columns]
-    if stated and len(stated) < len(DEVIATION_COLUMNS):
-        missing = [column for column in DEVIATION_COLUMNS if column not in columns]
-        raise PuddleError(f"{name}: has {', '.join(stated)} but no {', '.join(missing)}: expected all three or none")
+    """Return the tracks among columns; raise PuddleError if a column is missing."""
+    has_deviations = any(column in columns for column in DEVIATION_COLUMNS)
+    _require(columns, (*TRACK_COLUMNS, *(DEVIATION_COLUMNS if has_deviations else ())), name)
     return TrackTable(
         _throws(columns["throw"], name),
         *(columns[column] for column in TRACK_COLUMNS[1:]),
@@ -102,38 +76,32 @@ def has_bars(columns: TrackColumns) -> bool:
 
 
 def bars_of(columns: TrackColumns, name: str) -> Bars:
-    """Return the bar of each throw; rows of one throw must agree.
-
-    Raises:
-        PuddleError: a column is missing, or a throw has several bars.
-    """
+    """Return the bar of each throw; raise PuddleError if a column is missing, or a throw has several bars."""
     _require(columns, ("throw", *BAR_COLUMNS), name)
     throw = _throws(columns["throw"], name)
-    numbers, first = np.unique(throw, return_index=True)
-    bar_of_row = first[np.searchsorted(numbers, throw)]
+    numbers, first, throw_of_row = np.unique(throw, return_index=True, return_inverse=True)
     for column in BAR_COLUMNS:
-        differs = np.flatnonzero(columns[column] != columns[column][bar_of_row])
-        differs = differs[np.isfinite(columns[column][differs])]
-        if len(differs):
-            row = differs[0]
+        values, expected = columns[column], columns[column][first][throw_of_row]
+        if (differs := np.isfinite(values) & (values != expected)).any():
+            row = int(np.argmax(differs))
             raise PuddleError(
-                f"{name}: throw {throw[row]}: {column} is {columns[column][row]:g} and "
-                f"{columns[column][bar_of_row[row]]:g}: expected one bar for each throw"
+                f"{name}: throw {throw[row]}: {column} is {values[row]:g} and {expected[row]:g}: expected one bar for "
+                f"each throw"
             )
     return Bars(numbers, *(columns[column][first] for column in BAR_COLUMNS))
 
 
-def _require(columns: TrackColumns, names: Sequence[str], name: str) -> None:
+def _require(columns: Mapping[str, object], names: Sequence[str], name: str) -> None:
     if missing := [column for column in names if column not in columns]:
         raise PuddleError(
-            f"{name}: expected the columns {', '.join(names)}, got none named {', '.join(missing)}: name the columns so"
+            f"{name}: expected the columns {', '.join(names)}, got {', '.join(columns)[:80]}, without "
+            f"{', '.join(missing)}. docs/your-own-tank.md converts files of other programs."
         )
 
 
-def _throws(column: Float64, name: str) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    wrong = ~np.isfinite(column) | (column != np.round(column)) | (np.abs(column) > 2**53)
+def _throws(column: Float64, name: str) -> Int64:
+    wrong = ~np.isfinite(column) | (column != np.round(column))
     if wrong.any():
-        raise PuddleError(
-            f"{name}: row {int(np.argmax(wrong)) + 1}: throw is {column[wrong][0]:g}, expected a whole number"
-        )
+        row = int(np.argmax(wrong))
+        raise PuddleError(f"{name}: row {row + 1}: throw is {column[row]:g}, expected a whole number")
     return column.astype(np.int64)

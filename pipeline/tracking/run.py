@@ -31,9 +31,6 @@ class Run:
     metrics: Mapping[str, float] = field(default_factory=dict)  # MLflow cannot store infinities and NaN
     curves: Sequence[CurvePart] = ()  # metrics by generation
     tags: Mapping[str, str] = field(default_factory=dict)  # further text to search by
-    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # contents of files to open from the UI, by path
-    attachments: Mapping[tuple[str, str], Mapping[str, bytes]] = field(default_factory=dict)
-    """Files of other runs of the study, by kind and key of the run (``"trial", "stage key/trial key"``) and by path.
-    Runs that MLflow does not have are left out."""
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files to open from the UI, by path
     status: Literal["FINISHED", "FAILED"] | None = None
     """None for a run that has not ended; MLflow keeps the status of one that has."""

@@ -12,8 +12,8 @@ import functools
 import hashlib
 import importlib.util
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.store.manifest import Manifest
 from pipeline.workflow.stage import AnyStage
@@ -38,94 +38,53 @@ def sources() -> Sources:
     return found
 
 
+@functools.cache
 def recorded_code(stage: AnyStage) -> dict[str, str]:
-    """Return what an item's record says of the code that made it.
-
-    ``modules`` lists a short digest of every module that the stage imports, directly or not. ``files``, a digest of all
-    modules as they are, costs milliseconds: where it is the same, nothing has to be parsed.
-    """
-    return {"modules": " ".join(sorted(_digests(*_modules(stage)))), "files": _files_digest()}
+    """Return what an item's record says of the code that made it: a short digest of each module of its stage."""
+    return {"modules": " ".join(sorted(digests([stage.item.__module__, stage.compute.__module__], sources())))}
 
 
 def is_of_other_code(manifest: Manifest, stage: AnyStage) -> bool:
     """Return whether a module that made an item has changed since, or is gone. Items of earlier versions do not say."""
-    code = manifest.record.get("code")
-    if not isinstance(code, Mapping) or "modules" not in code or code.get("files") == _files_digest():
-        return False
-    return not set(str(code["modules"]).split()) <= _digests(*_modules(stage))
-
-
-@functools.cache
-def _files_digest() -> str:
-    return hashlib.sha256(repr(sorted(sources().items())).encode()).hexdigest()
-
-
-def _modules(stage: AnyStage) -> tuple[str, str]:
-    return stage.item.__module__, stage.compute.__module__
-
-
-@functools.cache
-def _digests(*modules: str) -> set[str]:
-    return digests(modules, sources())
+    modules = manifest.record.get("code", {}).get("modules", "")
+    return not set(modules.split()) <= set(recorded_code(stage)["modules"].split())
 
 
 def digests(modules: Sequence[str], files: Sources) -> set[str]:
-    """Return a short digest of each of some modules and of all that they import, without comments and docstrings."""
-    return {
-        hashlib.sha256(f"{name} {_parsed(files[name]).text}".encode()).hexdigest()[:8]
-        for name in imported(modules, files)
-    }
+    """Return a short digest of each of some modules and of all that they import, without comments and docstrings.
 
-
-def imported(modules: Sequence[str], files: Sources) -> set[str]:
-    """Return the names of modules and of those that they import directly or not, also inside functions.
-
-    A package below ``PACKAGES`` is imported with each of its modules, and one that uses ``pkgutil`` imports all of its
-    modules.
+    Imports inside functions count. A package below ``PACKAGES`` is imported with each of its modules, and one that uses
+    ``pkgutil`` imports all of its modules.
     """
-    found: set[str] = set()
+    found: dict[str, str] = {}
     pending = [*modules]
     while pending:
         name = pending.pop()
-        if name in found or name not in files:
+        if name in found or name not in files or name in PACKAGES:
             continue
-        found.add(name)
-        parent = name.rpartition(".")[0]
-        pending += [] if parent in PACKAGES else [parent]
-        for imported_from, names in _parsed(files[name]).imports:
-            inner = [one for one in names if one in files]
-            pending += inner if len(inner) == len(names) else [imported_from, *inner]
-            if imported_from == "pkgutil":
-                pending += [one for one in files if one.startswith(f"{name}.")]
-    return found
-
-
-@dataclass(frozen=True)
-class _Parsed:
-    """What counts of a module."""
-
-    text: str
-    imports: tuple[tuple[str, tuple[str, ...]], ...]  # modules, each with what is imported from it, by full names
+        found[name], imports = _parsed(files[name])
+        pending += [name.rpartition(".")[0], *imports]
+        if "pkgutil" in imports:
+            pending += [one for one in files if one.startswith(f"{name}.")]
+    return {hashlib.sha256(f"{name} {text}".encode()).hexdigest()[:8] for name, text in found.items()}
 
 
 @functools.cache
-def _parsed(source: bytes) -> _Parsed:
+def _parsed(source: bytes) -> tuple[str, Sequence[str]]:
+    """Return a module's code without its comments and docstrings, and the names that it imports."""
     tree = ast.parse(source)
-    imports: list[tuple[str, tuple[str, ...]]] = []
-    pending: list[ast.AST] = [tree]
-    while pending:
-        node = pending.pop()
+    imports: list[str] = []
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            imports += [(alias.name, (alias.name,)) for alias in node.names]
+            imports += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            imports.append((node.module, tuple(f"{node.module}.{alias.name}" for alias in node.names)))
-        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
-            if isinstance(statements := getattr(node, part, None), list):
-                statements[:] = [one for one in statements if not _is_text(one)]
-                pending += statements
-    return _Parsed(ast.unparse(tree), tuple(imports))
+            imports += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return ast.dump(_WithoutTexts().visit(tree)), imports
 
 
-def _is_text(node: ast.AST) -> bool:
-    """Return whether a statement is a string alone: a docstring, also of a constant or a field."""
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+class _WithoutTexts(ast.NodeTransformer):
+    """Removes statements that are a string alone: docstrings, also of a constant or a field."""
+
+    def visit_Expr(self, node: ast.Expr) -> Any:
+        is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return None if is_text else self.generic_visit(node)

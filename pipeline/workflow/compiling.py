@@ -1,9 +1,5 @@
-"""Compilation of the kernels while the cluster starts."""
+"""Compilation of the kernels before the workers start, so that they find them instead of compiling their own."""
 
-import contextlib
-import subprocess
-import sys
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -14,30 +10,6 @@ from tasks.residual.observation import OBSERVATION
 from tasks.seeding import generator
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush
-
-
-@contextlib.contextmanager
-def compiling(physics: Physics) -> Iterator[None]:
-    """Compile the kernels that this machine lacks in another process; the end of the block waits for it.
-
-    So the workers find them, where each would compile its own. Those of another machine of a cluster do.
-
-    Args:
-        physics: constants of the base simulator, which decide on the kernels.
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "pipeline.workflow.compiling", physics.model_dump_json()],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,  # so that Ctrl-C reaches the study alone, which ends this process
-    )
-    try:
-        yield
-        process.wait()
-    finally:
-        process.terminate()
-        process.wait()
 
 
 def compile_kernels(physics: Physics) -> None:
@@ -53,7 +25,3 @@ def compile_kernels(physics: Physics) -> None:
         n_generations=2,
         afpo=Afpo(population_size=2),
     )
-
-
-if __name__ == "__main__":
-    compile_kernels(Physics.model_validate_json(sys.argv[1]))

@@ -14,7 +14,7 @@ from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json
 from pipeline.workflow.code_digest import recorded_code
-from pipeline.workflow.graph import ChainProgress, StageRun, is_split
+from pipeline.workflow.graph import ChainProgress, StageRun
 from pipeline.workflow.identity import InputName, to_json
 from pipeline.workflow.progress import Work
 from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, OutsideFile
@@ -64,12 +64,8 @@ class _Dispatcher:
                     heapq.heappush(ready, (-progress.left.cost, numbers[id(progress)]))
 
         make_ready(chains)
-        next_check = -float("inf")
         while ready or self._running:
-            if time.monotonic() >= next_check:
-                n_cores = self._cluster.n_cores  # machines join and leave
-                next_check = time.monotonic() + _SECONDS_BETWEEN_CHECKS
-            queue = max(1, round(_QUEUED_PER_CORE * n_cores))
+            queue = max(1, round(_QUEUED_PER_CORE * self._cluster.n_cores))  # machines join and leave
             while ready and len(self._running) < queue:
                 # Batches must not drain the queue: a core without work is worse than empty lanes.
                 n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_batch else 0
@@ -96,7 +92,7 @@ class _Dispatcher:
             items,
             [tuple(item.inputs) for item in items],
             *contents,
-            n_cores=0.0 if is_split(item) else 1.0,
+            n_cores=0.0 if item.execution.designs_per_batch is not None else 1.0,  # a split item only waits
             n_gpus=float(item.execution.n_gpus),
             name=f"{item.stage} {' and '.join(item.label for item in items)}",
         )

@@ -15,15 +15,13 @@ from pipeline.cluster.process import signals_unwind
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact
 from pipeline.store.store import Store
-from pipeline.workflow.background import Background
-from pipeline.workflow.compiling import compiling
+from pipeline.workflow.compiling import compile_kernels
 from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require, results_of
 from pipeline.workflow.progress import NOTHING, Progress, StudyTimes, Work
 from pipeline.workflow.record import DrivenStudy
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror
-from tasks.world import Physics
 
 if TYPE_CHECKING:
     from pipeline.tracking.mirror import Tracker
@@ -41,7 +39,6 @@ def drive(
     how_to_run: Callable[[str], str],
     source: str = "",
     expected_seconds: Callable[[float], Mapping[str, float]] = lambda n_cores: {},
-    seconds_to_compile: Callable[[Physics], float] = kernels.seconds_to_compile,
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
 
@@ -59,7 +56,6 @@ def drive(
         how_to_run: returns the command line that runs a stage, for messages.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
         expected_seconds: returns about how long what is left of each stage takes on a number of cores [s].
-        seconds_to_compile: returns about how long the kernels take that this machine has not compiled yet [s].
 
     Returns:
         Results of every stage up to the last one wanted, by name; those of wanted stages say what diverged.
@@ -68,25 +64,18 @@ def drive(
         PuddleError: results of an earlier stage are missing, the cluster can't be used, or the store is damaged in a
             way that computing an item again does not mend.
     """
-    with (
-        store.lock_study(settings.name),
-        signals_unwind(),
-        Background("bringing the record of runs and curves up to date", progress.say) as background,
-        contextlib.ExitStack() as stack,
-    ):
+    mirror = StudyMirror(settings, store, tracker, source=source)
+    with store.lock_study(settings.name), signals_unwind(), contextlib.ExitStack() as stack:
         opened: list[Cluster] = []
 
         def cluster() -> Cluster:
             if not opened:
+                if kernels.seconds_to_compile(settings.physics):
+                    compile_kernels(settings.physics)
                 progress.say("starting the cluster")
-                with contextlib.ExitStack() as beside:
-                    if seconds := seconds_to_compile(settings.physics):
-                        progress.say(f"compiling the kernels meanwhile, once on each machine: about {seconds:.0f} s")
-                        beside.enter_context(compiling(settings.physics))
-                    opened.append(stack.enter_context(open_cluster()))
+                opened.append(stack.enter_context(open_cluster()))
             return opened[0]
 
-        mirror = StudyMirror(settings, stages, store, tracker, background, source=source)
         record = DrivenStudy(settings, store, progress.say, source)
 
         def study_times() -> StudyTimes:
@@ -99,7 +88,8 @@ def drive(
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
-                return driver.run(wanted)
+                upstream = driver.run(wanted)
+                break
             except DamagedArtifact as damage:
                 if damage.stage is None or damage.key is None or (damage.stage, damage.key) in discarded:
                     raise  # not an item, or computed anew and damaged again: the disk can't be trusted
@@ -108,6 +98,9 @@ def drive(
                 discarded.add((damage.stage, damage.key))
                 for one in opened:
                     one.cancel_all()  # the next attempt submits everything again
+        stack.close()  # before the wait for MLflow
+        mirror.close(progress.say)
+    return upstream
 
 
 @dataclass(frozen=True)
@@ -143,7 +136,7 @@ class _Driver:
             upstream[stage.name] = replace(found, diverged=stage.diverged(self.settings, found, self.store))
             summary = stage.summarise(self.settings, found, self.store)
             self.progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-            self.mirror.finish(stage, upstream, summary)
+            self.mirror.finish(stage, upstream, summary, is_last=stage is self.stages[-1])
         if line := other_code(upstream):
             self.progress.say(line)
         return upstream

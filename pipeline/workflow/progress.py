@@ -1,9 +1,8 @@
-"""Progress of a stage: the share done, the rate, and the time left for it and for the whole study.
+"""Progress of a stage: the share done, and the time left for it and for the whole study.
 
 A terminal shows a bar; anything else (a log, a pipe, a batch job) gets a line now and then. Both go to standard error,
 so that results on standard output can be piped. The count is in units, but the share done and the time left follow
-their cost, because some units cost ten times as much as others. Work that the store already has counts as done, but
-not toward the rate.
+their cost, because some units cost ten times as much as others.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ class StudyTimes:
 
 @dataclass
 class Pace:
-    """Work done so far, and the rate and time that follow from it."""
+    """Work done so far, and the time left that follows from it."""
 
     name: str
     unit: str
@@ -77,54 +76,25 @@ class Pace:
         self.changed()
 
     @property
-    def seconds(self) -> float:
-        """Time since the stage started [s]."""
-        return self.clock() - self.start
-
-    @property
-    def rate(self) -> float:
-        """Units per second since the stage started; 0 until some are done."""
-        return (self.done - self.found).units / self.seconds if self.seconds > 0 else 0.0
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Time left [s]: by the work done so far, or as expected until some is; None where nothing was expected."""
-        since, left = (self.done - self.found).cost, max(0.0, (self.total - self.done).cost)
-        return left / since * self.seconds if since > 0 else self.study.expected.get(self.name)
-
-    @property
     def fraction(self) -> float:
         """Share of the cost that is done, from 0 to 1."""
-        return min(1.0, self.done.cost / self.total.cost) if self.total.cost > 0 else 1.0
-
-    @property
-    def finished(self) -> bool:
-        """Whether all of the work is done."""
-        return self.fraction >= 1 - _ROUNDING
+        left = self.total.cost - self.done.cost
+        return 1.0 if left <= _ROUNDING * self.total.cost else self.done.cost / self.total.cost
 
     def __str__(self) -> str:
+        seconds, since = self.clock() - self.start, self.done.cost - self.found.cost
         text = f"{self.fraction:.0%}"
         if self.total.units >= 1:  # less than one unit is work beside the units, such as scoring what was made of them
-            counts = (_count(int(work.units + _ROUNDING)) for work in (self.done, self.total))
-            text += f", {'/'.join(counts)} {self.unit}, {_count(self.rate)}/s"
-        if self.finished:
-            return f"{text}, took {_duration(self.seconds)}"
-        if self.seconds_left is None:
-            return f"{text}, {_duration(self.seconds)} so far"
+            text += f", {int(self.done.units + _ROUNDING):,}/{int(self.total.units + _ROUNDING):,} {self.unit}"
+        if self.fraction == 1.0:
+            return f"{text}, took {_duration(seconds)}"
+        left = self.study.expected.get(self.name)  # until some work is done
+        if since > 0:
+            left = seconds * (self.total.cost - self.done.cost) / since
+        if left is None:
+            return f"{text}, {_duration(seconds)} so far"
         later = self.study.later(self.name)
-        study_left = f"; study: about {_about(self.seconds_left + later)} left" if later else ""
-        return f"{text}, {_duration(self.seconds_left)} left{study_left}"
-
-
-def _count(units: float) -> str:
-    return f"{units:,.0f}" if units >= 10 else f"{units:.2g}"
-
-
-def _about(seconds: float) -> str:
-    """Write an estimate in the coarse unit that a person thinks in."""
-    if seconds < 90:
-        return f"{max(1, round(seconds))} s"
-    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+        return f"{text}, {_duration(left)} left" + (f"; study: {_duration(left + later)} left" if later else "")
 
 
 def _duration(seconds: float) -> str:
@@ -164,7 +134,7 @@ class Progress:
         def show() -> None:
             if self.bars and task is not None:
                 self.bars.update(task, completed=pace.fraction)
-            elif not pace.finished and pace.clock() - self.last >= self.seconds_between_lines:
+            elif pace.fraction < 1.0 and pace.clock() - self.last >= self.seconds_between_lines:
                 self.last = pace.clock()
                 self.say(f"{place}: {pace}")
 

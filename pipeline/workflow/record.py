@@ -66,19 +66,12 @@ class DrivenStudy:
         if self._record is None and not finished:
             return
         before = self._record or self._new
-        items = [
-            StudyItem(name, item_label(chain, index), manifest.key)
-            for name, results in upstream.items()
-            for chain, manifests in results.done.items()
-            for index, manifest in enumerate(manifests)
-        ]
-        failed = [
-            FailedChain(name, chain.label, str(why))
-            for name, results in upstream.items()
-            for chain, why in results.failed.items()
-        ]
-        items += [item for item in before.items if item.stage not in upstream]
-        failed += [lost for lost in before.failed if lost.stage not in upstream]
+        items = [item for item in before.items if item.stage not in upstream]
+        failed = [chain for chain in before.failed if chain.stage not in upstream]
+        for name, results in upstream.items():
+            failed += [FailedChain(name, chain.label, str(why)) for chain, why in results.failed.items()]
+            for chain, manifests in results.done.items():
+                items += [StudyItem(name, item_label(chain, i), manifest.key) for i, manifest in enumerate(manifests)]
         self._write(replace(before, items=tuple(items), failed=tuple(failed)))
 
     def _write(self, record: StudyRecord) -> None:
@@ -99,10 +92,7 @@ def recorded_study(store: Store, name: str) -> StudyRecord:
         raise PuddleError(f"study {name}: {store.study_path(name)} has lost its record, study.json. {WRITTEN_ANEW}")
     if not names:
         raise PuddleError(f"study {name!r}: {store.root} holds no study yet. `puddle study` makes one.")
-    begin = [one for one in names if name and one.startswith(name)]
-    if len(begin) > 1:
-        raise PuddleError(f"study {name!r} is ambiguous: expected one of {', '.join(begin)}")
-    close = begin or difflib.get_close_matches(name, names, n=1)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
     advice = f"; did you mean {close[0]}?" if close else ""
     raise PuddleError(f"study {name!r}: {store.root} holds {', '.join(names)}{advice}")
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+import queue
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -11,11 +13,10 @@ from typing import TYPE_CHECKING
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.store.encoding import canonical_json, digest, encode_json
+from pipeline.store.encoding import canonical_json, digest
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePart, CurvePoints, Run
-from pipeline.workflow.background import Background
 from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.identity import ChainId, TrialId
 from pipeline.workflow.record import preset_of
@@ -25,45 +26,56 @@ if TYPE_CHECKING:
     from pipeline.tracking.mirror import Tracker
 
 SECONDS_BETWEEN_UPDATES = 15.0  # so that a segment is in MLflow within 30 s of its commit
+SECONDS_OF_SILENCE = 2.0  # time that the end may wait before it tells the user what for [s]
 _POINTS_OF_A_CURVE = 100  # a point costs a fifth of a millisecond, and a page of MLflow shows 320 of them at most
 _FOLDERS = {
-    **dict.fromkeys((".svg", ".png", ".pdf"), "figures"),
-    **dict.fromkeys((".mp4", ".gif"), "films"),
-    **dict.fromkeys((".csv", ".parquet"), "tables"),
-    ".html": "page",
+    **dict.fromkeys((".svg", ".png", ".pdf"), "figures/"),
+    **dict.fromkeys((".mp4", ".gif"), "films/"),
+    **dict.fromkeys((".csv", ".parquet"), "tables/"),
+    ".html": "page/",
 }
 """Folders of a study's artifacts, by suffix; other files lie beside the folders."""
 
 
 class StudyMirror:
-    """Mirrors one study in the background, so that MLflow costs the study no time."""
+    """Mirrors one study on a thread of its own, so that MLflow costs the study no time."""
 
-    def __init__(
-        self,
-        settings: Settings,
-        stages: Sequence[AnyStage],
-        store: Store,
-        tracker: Tracker,
-        background: Background,
-        *,
-        source: str,
-    ) -> None:
-        """Prepare.
+    def __init__(self, settings: Settings, store: Store, tracker: Tracker, *, source: str) -> None:
+        """Start the thread, which waits for work.
 
         Args:
             settings: the study's settings.
-            stages: all its stages, in order.
             store: where its results are committed.
             tracker: sends runs to MLflow.
-            background: runs calls on a thread.
             source: where the settings come from: "preset laptop", or the path of a file.
         """
-        self._settings, self._stages, self._store = settings, stages, store
-        self._tracker, self._background = tracker, background
-        self._chosen = settings.model_dump(mode="json")
-        self._key = digest(canonical_json(self._chosen))
+        self._store, self._tracker = store, tracker
+        chosen = settings.model_dump(mode="json")
         preset = preset_of(source) or Path(source).stem
-        self._tags = {"preset": preset} if preset else {}
+        tags = {"preset": preset} if preset else {}
+        self._study = Run(settings.name, digest(canonical_json(chosen)), params=chosen, tags=tags)
+        self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+        self._update: Callable[[], object] = lambda: None  # of the stage that is being computed
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                work = self._work.get(timeout=SECONDS_BETWEEN_UPDATES)
+            except queue.Empty:
+                work = self._update
+            if work is None:
+                return
+            work()
+
+    def close(self, say: Callable[[str], None]) -> None:
+        """Wait until everything is sent; show the user a line if that takes long."""
+        self._work.put(None)
+        self._thread.join(SECONDS_OF_SILENCE)
+        if self._thread.is_alive():
+            say("bringing the record of runs and curves up to date")
+            self._thread.join()
 
     @contextlib.contextmanager
     def live(self, stage: AnyStage, chains: Sequence[ChainProgress]) -> Iterator[None]:
@@ -74,7 +86,6 @@ class StudyMirror:
             chains: its chains, which the block advances.
         """
         n_mirrored = dict.fromkeys((progress.chain.identity for progress in chains), 0)
-        run = Run(stage.name, stage.name)
 
         def update() -> None:
             grown = []
@@ -87,59 +98,46 @@ class StudyMirror:
                             summary = stage.summarise_trial(self._store, chain.identity, parts)
                         grown.append(self._trial(stage, chain.identity, parts, chain.n_items, summary))
                         n_mirrored[chain.identity] = len(parts)
-            self._tracker.mirror(self._study(), run, grown)
+            self._tracker.mirror(self._study, Run(stage.name, stage.name), grown)
 
-        with self._background.repeat(update, every=SECONDS_BETWEEN_UPDATES):
+        self._update = update
+        self._work.put(update)
+        try:
             yield
+        finally:
+            self._update = lambda: None
 
-    def finish(self, stage: AnyStage, upstream: Upstream, summary: Summary) -> None:
+    def finish(self, stage: AnyStage, upstream: Upstream, summary: Summary, *, is_last: bool) -> None:
         """Mirror a stage that has ended.
 
         Args:
             stage: the stage.
             upstream: its results, and those of the stages before it.
             summary: its results in short.
+            is_last: whether it is the last stage of the study.
         """
         results = upstream[stage.name]
-        artifacts = {_path(name): content for name, content in summary.artifacts.items()}
-        study = self._study()
-        if summary.of_study:
-            study = replace(study, metrics=summary.metrics)
-        if stage is self._stages[-1]:
-            study = replace(study, status="FINISHED")
+        study = replace(self._study, status="FINISHED" if is_last else None)
         run = Run(
             stage.name,
             stage.name,
             metrics={**summary.metrics, "core_seconds": results.seconds, "n_failed": len(results.failed)},
-            artifacts={} if summary.of_study else artifacts,
-            attachments={
-                **({("study", self._key): artifacts} if summary.of_study else {}),
-                **{
-                    ("trial", f"{trial.stage}/{trial.label}"): {_path(name): film for name, film in films.items()}
-                    for trial, films in summary.films.items()
-                },
-            },
+            artifacts=_in_folders(summary.artifacts),
             status="FAILED" if results.failed else "FINISHED",
         )
+        if summary.of_study:
+            study = replace(study, metrics=summary.metrics, artifacts=run.artifacts)
+            run = replace(run, artifacts={})
         trials = []
         for one in summary.trials:
             parts = results.done[one.chain]
             trials.append(self._trial(stage, one.chain, parts, len(parts), one))
-        if stage.curves:
-            trials += [
-                replace(self._trial(stage, chain, (), 1), tags={"failure": str(why)}, status="FAILED")
-                for chain, why in results.failed.items()
-            ]
-        self._background.do(partial(self._tracker.mirror, study, run, trials))
-
-    def _study(self) -> Run:
-        return Run(
-            name=self._settings.name,
-            key=self._key,
-            params=self._chosen,
-            tags=self._tags,
-            artifacts={"settings.json": encode_json(self._chosen)},
-        )
+        for chain, why in results.failed.items() if stage.curves else ():
+            trials.append(replace(self._trial(stage, chain, (), 1), tags={"failure": str(why)}, status="FAILED"))
+        self._work.put(partial(self._tracker.mirror, study, run, trials))
+        for trial, films in summary.films.items():
+            film = Run(trial.label, trial.label, artifacts=_in_folders(films))
+            self._work.put(partial(self._tracker.mirror, study, Run(trial.stage, trial.stage), [film]))
 
     def _trial(
         self,
@@ -178,7 +176,5 @@ def _thinned(read: Callable[[], CurvePoints], n_points: int) -> CurvePoints:
     return CurvePoints(points.steps[chosen], {name: list(curve)[chosen] for name, curve in points.values.items()})
 
 
-def _path(name: str) -> str:
-    """Return where an artifact lies: in the folder of its kind."""
-    folder = _FOLDERS.get(PurePosixPath(name).suffix)
-    return f"{folder}/{name}" if folder else name
+def _in_folders(artifacts: Mapping[str, bytes]) -> dict[str, bytes]:
+    return {_FOLDERS.get(PurePosixPath(name).suffix, "") + name: content for name, content in artifacts.items()}

@@ -167,7 +167,7 @@ HEAD = "throw,time,x,y,angle\n"
         (lambda run, path: tracks_of(path, run[1], links=(2, 4)), "no tag of link 0"),
         (lambda run, path: tracks_of(path, run[1], links=(0, 2)), "expected link 4 or 5"),
         (lambda run, path: path.write_text(HEAD + "7,0,0,0,0\n"), "expected links of a robot, 0 to 5"),
-        (lambda run, path: path.write_text("throw,time,x\n0,0,0\n"), "got none named y, angle"),
+        (lambda run, path: path.write_text("throw,time,x\n0,0,0\n"), "without y, angle"),
         (lambda run, path: path.write_text(HEAD + "0,1,0,0,0\n2,1,0,0.1,0\n4,1,0.1,0,0\n"), "expected at least 3"),
         (millimetres, "m/s, expected at most 5: x and y are in metres"),
     ],

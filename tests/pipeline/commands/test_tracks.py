@@ -110,7 +110,7 @@ def edit(folder: Path, file: str, old: str, new: str) -> None:
 @pytest.mark.parametrize(
     ("edits", "overrides", "message"),
     [
-        (("tracks.csv", "angle", "heading"), (), "got none named angle: name the columns so"),
+        (("tracks.csv", "angle", "heading"), (), "without angle"),
         (("tracks-bars.csv", "mass", "weight"), (), "tracks-bars.csv: expected the columns throw, length, width, mass"),
         (("tracks-bars.csv", "\n1,", "\n9,"), (), "tracks-bars.csv: throw 1 has no bar: give its length"),
         (("tracks.csv", "\n1,0.016667,", "\n1,0.000000,"), (), "throw 1, frame 1: the time is 0 s after 0 s"),

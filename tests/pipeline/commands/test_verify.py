@@ -29,10 +29,6 @@ def lose_a_manifest(store: Store) -> Path:
     return lost
 
 
-def edit_the_report(store: Store) -> None:
-    (store.export_path("tiny") / "index.html").write_text("better")
-
-
 def make_newer(document: Path) -> None:
     """Seal a document with the next schema version."""
     found = json.loads(document.read_text())
@@ -82,20 +78,6 @@ def test_damage_is_named_even_if_the_record_is_unreadable(newer, options, store,
     assert call("verify", *options) == (1 if newer else 0)
 
 
-def test_an_edited_report_is_reported_unless_a_driver_is_about_to_write_it(options, store, capsys):
-    """A driver writes the record before it exports the report."""
-    edit_the_report(store)
-    with store.lock_study("tiny"), store.lock_study("new"):
-        assert call("verify", *options) == 0
-    shutil.rmtree(store.study_path("new"))
-    capsys.readouterr()
-    assert call("verify", *options) == 1
-    said = capsys.readouterr().out
-    assert "index.html: expected SHA-256" in said and "restores it" in said and "computed again" not in said
-    assert call("study", "--workers", "0", *options) == 0
-    assert call("verify", *options) == 0
-
-
 def make_a_manifest_newer(store: Store) -> None:
     make_newer(next(store.root.glob("items/analyse/*/*/manifest.json")))
 
@@ -114,12 +96,10 @@ def put_a_file_for_a_folder(store: Store) -> None:
 def test_problems_that_discarding_does_not_repair_hide_no_others(spoil, expected, options, store, capsys):
     spoil(store)
     lost = lose_a_manifest(store)
-    edit_the_report(store)
     assert call("verify", *options) == 1
     said = capsys.readouterr().out
     assert expected in said
     assert f"{lost}: expected the manifest of study tiny's evolve dry_land/1m/trial-0#" in said
-    assert "index.html: expected SHA-256" in said
 
 
 def test_one_study_of_a_store_is_verified_by_its_name(store, capsys):

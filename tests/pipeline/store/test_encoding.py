@@ -110,41 +110,25 @@ def test_duckdb_and_polars_read_lists_and_the_label(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("columns", "error"),
-    [
-        ({}, ValueError),
-        ({"x": np.zeros(2), "y": np.zeros(3)}, ValueError),
-        ({"x": np.zeros((2, 2, 2))}, ValueError),
-        ({"x": np.zeros((2, 0))}, ValueError),
-        ({"x": np.float64(1.0)}, ValueError),
-        ({"x": np.array([None, "a"])}, TypeError),
-        ({"x": np.zeros(2, np.complex128)}, TypeError),
-        ({"x": np.array([["a"]])}, TypeError),
-        ({"x": np.array(["2020-01-01"], "datetime64[D]")}, TypeError),
-    ],
+    "column",
+    [np.array([None, "a"]), np.zeros(2, np.complex128), np.array([["a"]]), np.array(["2020-01-01"], "datetime64[D]")],
 )
-def test_what_parquet_would_change_is_refused(columns: dict[str, np.ndarray], error: type[Exception]) -> None:
-    with pytest.raises(error, match=r"x|columns"):
-        encode_table(columns, **FORMAT, producer="")
+def test_what_parquet_would_change_is_refused(column: np.ndarray) -> None:
+    with pytest.raises(TypeError, match="array 'x'"):
+        encode_table({"x": column}, **FORMAT, producer="")
 
 
 # -- arrays ----------------------------------------------------------------------------------------------------------
 
 
-def test_arrays_come_back_in_order_of_name_with_their_metadata() -> None:
+def test_arrays_come_back_in_order_of_name() -> None:
     arrays = example_arrays()
-    found, metadata = decode_arrays(
-        encode_arrays(arrays, {"activation": "relu", "z": "µ"}, **FORMAT, producer="k"), **FORMAT, source="w"
-    )
+    data = encode_arrays(arrays, **FORMAT, producer="k")
+    found = decode_arrays(data, **FORMAT, source="w")
     assert list(found) == sorted(arrays)
     assert all(array.flags.writeable for array in found.values())
     assert same(dict(sorted(arrays.items())), found)
-    assert metadata == {"activation": "relu", "z": "µ"}
-    one, other = (
-        encode_arrays(dict(turn(arrays.items())), dict(turn(metadata.items())), **FORMAT, producer="k")
-        for turn in (list, lambda pairs: reversed(list(pairs)))
-    )
-    assert one == other
+    assert encode_arrays(dict(reversed(arrays.items())), **FORMAT, producer="k") == data
 
 
 def test_text_and_odd_types_are_no_weights() -> None:

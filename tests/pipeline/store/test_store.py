@@ -26,7 +26,7 @@ def test_a_committed_item_is_found_and_read_by_another_store_object(store: Store
     assert found == committed
     assert {name: store.read(found, name) for name in found.files} == FILES
     assert found.identity == IDENTITY and found.record == RECORD
-    assert list(store.keys("evolve")) == [KEY] and store.stages() == ["evolve"]
+    assert list(store.items()) == [("evolve", KEY)]
     assert store.verify() == []
 
 
@@ -67,7 +67,7 @@ def test_what_another_item_produced_is_noticed(store: Store) -> None:
     (found,) = store.verify()
     assert (found.stage, found.key) == ("evolve", KEY)
     shutil.copytree(origin, place, dirs_exist_ok=True)
-    with pytest.raises(DamagedArtifact, match=f"expected evolve {KEY}, got evolve {other.key}"):
+    with pytest.raises(DamagedArtifact, match=f"expected evolve {KEY} .*, got evolve {other.key}"):
         store.manifest("evolve", KEY)
     (found,) = store.verify()
     assert (found.stage, found.key) == ("evolve", KEY)
@@ -77,22 +77,15 @@ def test_a_discarded_item_is_computed_again_to_the_same_bytes(store: Store) -> N
     commit(store)
     before = tree(store.root)
     store.discard("evolve", KEY)
-    assert store.manifest("evolve", KEY) is None and list(store.keys("evolve")) == []
+    assert store.manifest("evolve", KEY) is None and store.keys("evolve") == []
     store.discard("evolve", KEY)
     commit(store)
     assert tree(store.root) == before
 
 
-def test_a_key_that_is_not_of_its_identity_and_bad_file_names_are_defects(store: Store) -> None:
+def test_a_key_that_is_not_of_its_identity_is_a_defect(store: Store) -> None:
     with pytest.raises(ValueError, match=f"expected the key of its identity, {KEY}"):
         store.commit("evolve", "0" * 64, IDENTITY, FILES, record={})
-    for name in ("manifest.json", "../x", "a/b", ".hidden", "a.b.c", "A.json", "x\n", "", "x" * 65):
-        with pytest.raises(ValueError, match="expected file names like"):
-            store.commit("evolve", KEY, IDENTITY, {name: b""}, record={})
-        with pytest.raises(ValueError, match="expected file names like"):
-            store.export("laptop", {name: b""})
-    with pytest.raises(ValueError, match="expected file names like"):
-        store.commit("evolve", KEY, IDENTITY, {}, record={})
 
 
 # -- several processes -----------------------------------------------------------------------------------------------
@@ -135,7 +128,7 @@ def test_processes_that_make_and_fill_one_store_at_once(tmp_path: Path) -> None:
 def test_a_study_record_comes_back(store: Store) -> None:
     assert store.read_study("laptop") is None and store.studies() == []
     items = [StudyItem("collect", "throws 0..99", KEY), StudyItem("evolve", "dry_land 9 m, trial 3", KEY)]
-    store.write_study(StudyRecord("laptop", {"seed": 1, "grid": {"depths": (0.0, 9.0)}}, items))
+    store.write_study(StudyRecord("laptop", {"seed": 1, "grid": {"depths": (0.0, 9.0)}}, tuple(items)))
     record = store.read_study("laptop")
     assert record.items == tuple(items) and record.name == "laptop"
     assert record.settings == {"seed": 1, "grid": {"depths": [0.0, 9.0]}}

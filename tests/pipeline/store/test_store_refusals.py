@@ -80,7 +80,7 @@ def test_a_place_that_is_no_store_is_refused_and_left_alone(tmp_path: Path) -> N
     before = tree(tmp_path)
     with pytest.raises(PuddleError, match=r"found a, b, c and more\. Choose another folder"):
         Store.open(home, create=True)
-    for place in (home / "a", home / "a" / "deep"):
+    for place in (home / "a" / "store", home / "a" / "deep" / "store"):
         with pytest.raises(PuddleError, match=f"{home / 'a'}"):
             Store.open(place, create=True)
     assert tree(tmp_path) == before
@@ -95,7 +95,7 @@ def test_a_store_of_a_newer_puddle_or_a_damaged_one_is_refused(tmp_path: Path) -
         Store.open(store.root, create=True)
     for bad in (good[:-3], b""):
         path.write_bytes(bad)
-        with pytest.raises(PuddleError, match=r"store\.json.*Copy store.json from any other"):
+        with pytest.raises(DamagedArtifact, match=r"store\.json: expected a JSON document"):
             Store.open(store.root, create=True)
     path.write_text('{"schema": "somebody.else", "version": 1}')
     with pytest.raises(PuddleError, match=r"got 'somebody\.else'"):
@@ -114,7 +114,6 @@ def test_hostile_names_are_refused(store: Store, name: str) -> None:
         lambda: store.manifest(name, KEY),
         lambda: store.commit(name, KEY, IDENTITY, FILES, record={}),
         lambda: store.discard(name, KEY),
-        lambda: list(store.keys(name)),
         lambda: store.write_study(StudyRecord(name, {}, ())),
         lambda: store.read_study(name),
         lambda: store.driver_of(name),

@@ -239,17 +239,15 @@ def test_only_the_new_parts_of_a_growing_curve_are_read(store):
     assert curve(store, "trial 0") == dict(enumerate(CURVE))
 
 
-def test_a_stage_adds_files_to_other_runs(store):
-    films = {("trial", "e" * 64 + "/0"): {"films/swim.mp4": b"film"}, ("trial", "gone"): {"films/swim.mp4": b""}}
-    report = Run("report", "report", attachments={**films, ("study", STUDY.key): {"page/index.html": b"<html>"}})
+def test_files_are_added_to_a_run_and_sent_once(store, monkeypatch):
+    film = Run("trial 0", "0", artifacts={"films/swim.mp4": b"film"})
     for _ in range(2):
         tracker = quiet(store)
-        tracker.mirror(STUDY, STAGE, TRIALS)
-        tracker.mirror(STUDY, report)
-    found, files = runs(store), store / "mlartifacts"
-    trial, study = found["trial", "trial 0"].info.run_id, found["study", "smoke"].info.run_id
-    assert (files / trial / "artifacts/films/swim.mp4").read_bytes() == b"film"
-    assert (files / study / "artifacts/page/index.html").read_bytes() == b"<html>"
+        tracker.mirror(STUDY, STAGE, [replace(TRIALS[0], artifacts={"champion.json": b"{}"})])
+        tracker.mirror(STUDY, STAGE, [film])
+        monkeypatch.setattr(MlflowClient, "log_artifacts", lambda *_: pytest.fail("sent again"))
+    trial = store / "mlartifacts" / runs(store)["trial", "trial 0"].info.run_id / "artifacts"
+    assert (trial / "films/swim.mp4").read_bytes() == b"film" and (trial / "champion.json").read_bytes() == b"{}"
 
 
 # -- what users' machines do to it -----------------------------------------------------------------------------------

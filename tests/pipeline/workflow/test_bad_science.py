@@ -81,9 +81,9 @@ def test_failures_are_named_and_the_rest_completes(options, monkeypatch, tmp_pat
         item.label for item in store.read_study("tiny").items
     }
     inject(monkeypatch)  # the causes are removed: what failed is computed, and nothing else
-    before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
+    before = set(store.items())
     assert call("train", *options, "--workers", "0") == call("evolve", *options, "--workers", "0") == 0
-    made = {(stage, key) for stage in store.stages() for key in store.keys(stage)} - before
+    made = set(store.items()) - before
     assert sorted(stage for stage, _ in made) == ["evolve"] * 5 + ["train"]
 
 
