@@ -66,12 +66,13 @@ class DrivenStudy:
         if self._record is None and not finished:
             return
         before = self._record or self._new
-        items = [item for item in before.items if item.stage not in upstream]
-        failed = [chain for chain in before.failed if chain.stage not in upstream]
+        items, failed = list[StudyItem](), list[FailedChain]()
         for name, results in upstream.items():
             failed += [FailedChain(name, chain.label, str(why)) for chain, why in results.failed.items()]
             for chain, manifests in results.done.items():
                 items += [StudyItem(name, item_label(chain, i), manifest.key) for i, manifest in enumerate(manifests)]
+        items += [item for item in before.items if item.stage not in upstream]
+        failed += [chain for chain in before.failed if chain.stage not in upstream]
         self._write(replace(before, items=tuple(items), failed=tuple(failed)))
 
     def _write(self, record: StudyRecord) -> None:

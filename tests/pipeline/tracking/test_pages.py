@@ -65,7 +65,7 @@ def live_study(store: Store, monkeypatch: pytest.MonkeyPatch) -> Iterator[thread
         try:
             drive(
                 parse(Settings, ON_DRY_LAND, name="tiny"),
-                STAGES[:4],
+                STAGES[:3],
                 stages=STAGES,
                 store=store,
                 open_cluster=lambda: paused_cluster(after=1, until=go_on),

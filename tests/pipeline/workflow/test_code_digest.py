@@ -6,7 +6,7 @@ from pipeline.stages import STAGES
 from pipeline.store.manifest import Manifest
 from pipeline.workflow.code_digest import digests, is_of_other_code, recorded_code, sources
 
-_, _, _, EVOLVE, *_ = STAGES
+_, _, EVOLVE, *_ = STAGES
 
 
 def digests_with(edited: dict[str, bytes], stage=EVOLVE) -> set[str]:

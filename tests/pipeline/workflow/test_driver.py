@@ -19,8 +19,8 @@ from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
 from pipeline.workflow.stage import AnyStage, Results
 
-TO_EVOLVE = STAGES[:4]
-TO_TRANSFER = STAGES[:5]
+TO_EVOLVE = STAGES[:3]
+TO_TRANSFER = STAGES[:4]
 
 
 def run(
