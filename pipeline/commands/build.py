@@ -70,9 +70,9 @@ def fabricate(
             source = from_file(design, SettingsOptions(preset=preset or "pontoon", store=store).settings())
         else:
             source = proposed(open_study(str(study), store))
-        made = make(source, of_kit, out)
-    to_stdout(*made.lines)
-    if made.n_faults:
+        lines, n_faults = make(source, of_kit, out)
+    to_stdout(*lines)
+    if n_faults:
         raise typer.Exit(INCOMPLETE)
 
 

@@ -32,7 +32,6 @@ _MAX_DEVIATIONS = 2.0  # of the ensemble between its mean and the truth
 class SimulatedRun:
     """The simulated run from which the loads are taken."""
 
-    environment: str  # the environment, in words
     com_displacement: float  # displacement of the centre of mass [m of simulation]
     duration: float  # duration of the measurement [s of simulation]
     torque: Float64
@@ -135,7 +134,6 @@ def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | None:
     joints = list(driven_joints(design))
     trace = rollouts.trace[0, rollout.n_settle :].astype(np.float64)
     return SimulatedRun(
-        environment=source.environment,
         com_displacement=float(rollouts.com_displacement[0]),
         duration=rollout.n_measure * physics.time_step,
         torque=rollouts.motor_torque[0][rollout.n_settle :, joints].astype(np.float64),

@@ -7,7 +7,6 @@
     cad/PART.step        one piece each, in place in the robot
 """
 
-import csv
 import io
 import re
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ import numpy as np
 from build123d import Compound, Shape, export_step
 
 from pipeline.fabrication.assembly_drawing import assembly_drawing, perspective
+from pipeline.fabrication.kit_files import csv_table
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import Mesh, mesh_of, on_bed
 
@@ -40,14 +40,12 @@ def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
 
 
 def _bill_csv(kit: Kit) -> bytes:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["kind", "item", "count", "each_length_mm", "all_mass_g", "note"])
+    rows = []
     for line in kit.bill:
         length = "" if line.length_mm is None else f"{line.length_mm:.1f}"
         mass = "" if line.mass_g is None else f"{line.mass_g:.1f}"
-        rows.writerow([line.kind, line.item, line.count, length, mass, line.note])
-    return text.getvalue().encode()
+        rows.append((line.kind, line.item, line.count, length, mass, line.note))
+    return csv_table(("kind", "item", "count", "each_length_mm", "all_mass_g", "note"), rows)
 
 
 def compound(solids: Sequence[tuple[str, Shape]], label: str) -> Shape:

@@ -1,6 +1,8 @@
 """What others read of a kit: its manifest, servo timelines (timeline.json, timeline.csv) and calibration.yaml."""
 
-from collections.abc import Mapping
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -43,6 +45,13 @@ def write_folder(kind: FolderKind, folder: Path, files: Mapping[str, bytes], man
     return new.preserved
 
 
+def csv_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
+    """Encode rows of a table as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows((head, *rows))
+    return text.getvalue().encode()
+
+
 def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
     """Encode a timeline, with its pulses under a calibration, as JSON. Raises TimelineError beyond its limits."""
     sent = np.round(pulses(timeline, calibration), _PULSE_DIGITS)
@@ -65,10 +74,9 @@ def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
     angles = [f"joint_{joint}_rad" for joint in timeline.joints]
     widths = [f"channel_{servo.channel}_us" for servo in calibration.servos]
     decimals = [2, *len(angles) * [_RADIAN_DIGITS], *len(widths) * [_PULSE_DIGITS]]
-    row = ",".join(f"{{:.{n}f}}" for n in decimals)
     table = np.column_stack([timeline.time, timeline.angle, sent])
-    lines = [",".join(["time_s", *angles, *widths]), *(row.format(*values) for values in table)]
-    return "".join(f"{line}\n" for line in lines).encode()
+    rows = ([f"{value:.{n}f}" for value, n in zip(values, decimals, strict=True)] for values in table)
+    return csv_table(["time_s", *angles, *widths], rows)
 
 
 def read_timeline(path: Path) -> Timeline:
@@ -94,12 +102,7 @@ def read_timeline(path: Path) -> Timeline:
 
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration from YAML or JSON. Raises PuddleError with a line per mistake."""
-    try:
-        return load(Calibration, path)
-    except PuddleError as error:
-        if isinstance(error.__cause__, OSError):  # whose message speaks of settings
-            raise PuddleError(f"{path}: can't read the calibration file: {error.__cause__.strerror}") from error
-        raise
+    return load(Calibration, path)
 
 
 def calibration_yaml(calibration: Calibration, heading: str) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import resources
 from importlib.util import find_spec
 from math import isfinite
@@ -20,16 +19,8 @@ from tasks.fabrication.kit_settings import FabricationSettings
 _GUIDES = resources.files("pipeline.fabrication").joinpath("guides")  # pages of docs/, copied into every kit
 
 
-@dataclass(frozen=True)
-class KitResult:
-    """Result of ``puddle fabricate``."""
-
-    lines: list[str]  # lines for the terminal
-    n_faults: int
-
-
-def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> KitResult:
-    """Make the kit of a design in a folder that is new or a kit.
+def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> tuple[list[str], int]:
+    """Make the kit of a design in a folder that is new or a kit. Returns lines for the terminal, and how many faults.
 
     Raises PuddleError if the kit can't be made; nothing was written.
     """
@@ -89,7 +80,7 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
     lines += [f"{finding.severity:<8} {finding.where}: {finding.message.rstrip('.')}." for finding in findings]
     lines += [f"joint {load.joint}: the servo gives {load.margin:.2f} times what the run needs" for load in bench.loads]
     last = f"{verdict(findings)} Kit of a robot of {kit.mass_g:.0f} g: {out / 'index.html'}"
-    return KitResult([*lines, last], n_faults)
+    return [*lines, last], n_faults
 
 
 def require_cad() -> None:

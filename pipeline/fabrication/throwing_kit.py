@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.resources import files as package_files
 from math import degrees, tau
 from pathlib import Path
@@ -12,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_files import write_folder
+from pipeline.fabrication.kit_files import csv_table, write_folder
 from pipeline.fabrication.make_kit import require_cad
 from pipeline.store.owned_folder import FolderKind
 from pipeline.vision import require_vision
@@ -56,7 +54,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     made = tag_sheets(markers, [bar.name for bar in bars])
     for bar in bars:
         made[f"print/{bar.name}.stl"] = stl(mesh_of(plate_of(bar, settings)).on_bed())
-    made["bars.csv"], made["throws.csv"] = _bars_csv(bars), _csv(_THROW, throws)
+    made["bars.csv"], made["throws.csv"] = _bars_csv(bars), csv_table(_THROW, throws)
     made[MARKERS] = (_HEADING + yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)).encode()
     body = TEMPLATES.get_template("throwing_kit.html").render(
         bars=bars,
@@ -85,7 +83,9 @@ def _bars_csv(bars: tuple[ThrowingBar, ...]) -> bytes:
         sides = [f"{value:.1f}" for value in (bar.length_mm, bar.width_mm, bar.rod_at_mm)]
         masses = [f"{value:.1f}" for value in (bar.plate_g, bar.rods_g, bar.trim_g, bar.mass_g)]
         rows.append((bar.name, *sides, f"{bar.infill:.2f}", *masses))
-    return _csv(("name", "length_mm", "width_mm", "rod_at_mm", "infill", "plate_g", "rods_g", "trim_g", "mass_g"), rows)
+    return csv_table(
+        ("name", "length_mm", "width_mm", "rod_at_mm", "infill", "plate_g", "rods_g", "trim_g", "mass_g"), rows
+    )
 
 
 _THROW = ("bar", "y_mm", "angle_deg", "vx_m_s", "vy_m_s", "turns_per_s")
@@ -112,9 +112,3 @@ def _throws(bars: Sequence[ThrowingBar], scale: float, *, lowest: float, highest
             (bar.name, f"{1000 * scale * y:z.0f}", f"{degrees(angle):.0f}", *velocity, f"{omega / tau / time:z.1f}")
         )
     return rows
-
-
-def _csv(head: Sequence[str], rows: Iterable[Sequence[str]]) -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows((head, *rows))
-    return text.getvalue().encode()

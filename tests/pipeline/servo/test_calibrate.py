@@ -125,7 +125,7 @@ def test_mistakes_of_calibrate_and_off(kit, tmp_path, capsys):
         for arguments, said in (
             ((), "{kit}"),
             ((str(kit),), "--port: expected"),
-            ((str(tmp_path / "none.yaml"), "--dry-run"), "can't read the calibration file"),
+            ((str(tmp_path / "none.yaml"), "--dry-run"), "none.yaml: expected a settings file"),
         ):
             assert said in refused(capsys, "servo", command, *arguments)
 
