@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import socket
 import sys
-import time
 import urllib.parse
-import urllib.request
-import webbrowser
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,11 +23,10 @@ from pipeline.tracking.database import (
 _VIEW = "puddle"  # name of the shared view that the list of studies opens with
 _STUDIES = "tags.`puddle.kind` = 'study'"
 _HEADLINE, _MOST_HEADLINES = "ratio_to_true_slush.zero_shot.", 4  # more would push the presets off the screen
-_SECONDS_TO_START = 120.0  # time for the server to start before its address is no longer announced
 
 
 def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None = None) -> None:
-    """Print the address of the runs page, and open it where there is a desktop.
+    """Print the address of the runs page.
 
     Where MLflow is a server already, that is all. Otherwise this process becomes MLflow's server, so that signals reach
     the server itself.
@@ -57,7 +52,7 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
     except Exception as error:  # of any database's driver
         raise PuddleError(explained(error, store, uri)) from None
     if uri is not None and urllib.parse.urlsplit(uri).scheme in ("http", "https"):
-        _announce(runs_page(uri.rstrip("/"), experiment, study), "")
+        print(f"MLflow: {runs_page(uri.rstrip('/'), experiment, study)}")
         return
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -96,33 +91,5 @@ def _view(client: Any, experiment: str) -> str:
 def _serve(uri: str, port: int, words: list[str], page: str) -> NoReturn:
     server = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, *words]
     server += ["--host", "127.0.0.1", "--port", str(port), "--workers", "1", "--uvicorn-opts", "--log-level warning"]
-    sys.stdout.flush()
-    pid = os.getpid()
-    if os.fork() == 0:  # the child's child announces the page, so that the server has no child to wait for
-        if os.fork() == 0:
-            with contextlib.suppress(KeyboardInterrupt):
-                _announce_when_up(port, pid, page)
-        os._exit(0)
-    os.wait()
+    print(f"MLflow: {page} (in about ten seconds; Ctrl-C stops it)", flush=True)
     os.execve(server[0], server, MLFLOW_ENVIRONMENT | os.environ)
-
-
-def _announce_when_up(port: int, pid: int, page: str) -> None:
-    end = time.monotonic() + _SECONDS_TO_START
-    while time.monotonic() < end:
-        try:
-            os.kill(pid, 0)
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/health", timeout=1):
-                break
-        except ProcessLookupError:
-            return
-        except OSError:
-            time.sleep(0.1)
-    _announce(page, " (Ctrl-C stops it)")
-
-
-def _announce(page: str, advice: str) -> None:
-    print(f"MLflow: {page}{advice}", flush=True)
-    desktop = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if desktop and sys.stdout.isatty():
-        webbrowser.open(page)

@@ -4,7 +4,6 @@ Only this process writes to the store; workers return bytes. An item that fails 
 rest of the study goes on without it.
 """
 
-import heapq
 import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -55,23 +54,16 @@ class _Dispatcher:
         self._code = recorded_code(run.stage)  # before any worker loads it: files may be edited while it runs
 
     def run(self, chains: Sequence[ChainProgress]) -> None:
-        ready: list[tuple[float, int]] = []
-        numbers = {id(progress): number for number, progress in enumerate(chains)}
-
-        def make_ready(some: Sequence[ChainProgress]) -> None:
-            for progress in some:
-                if progress.open:
-                    heapq.heappush(ready, (-progress.left.cost, numbers[id(progress)]))
-
-        make_ready(chains)
+        ready = [progress for progress in chains if progress.open]
         while ready or self._running:
             queue = max(1, round(_QUEUED_PER_CORE * self._cluster.n_cores))  # machines join and leave
+            ready.sort(key=lambda progress: -progress.left.cost)
             while ready and len(self._running) < queue:
                 # Batches must not drain the queue: a core without work is worse than empty lanes.
                 n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_batch else 0
-                self._submit([chains[number] for number in _take_batch(ready, chains, n_to_spare)])
+                self._submit(_take_batch(ready, n_to_spare))
             if (finished := self._cluster.next_done(timeout=_SECONDS_BETWEEN_CHECKS)) is not None:
-                make_ready(self._finish(*finished))
+                ready += [progress for progress in self._finish(*finished) if progress.open]
 
     def _submit(self, chains: Sequence[ChainProgress]) -> None:
         items = [self._run.next_item(progress) for progress in chains]
@@ -143,20 +135,14 @@ class _Dispatcher:
         self._advance(left - progress.left)
 
 
-def _take_batch(ready: list[tuple[float, int]], chains: Sequence[ChainProgress], most_others: int) -> list[int]:
-    """Take the heaviest chain off the heap, and up to ``most_others`` others that batch with it.
-
-    ``ready`` is a heap of (-remaining cost, index of the chain).
-    """
-    _, number = heapq.heappop(ready)
-    first = chains[number]
-    most_others = min(first.chain.batch_size - 1, most_others)
-    if most_others < 1:
-        return [number]
-    others = sorted(entry for entry in ready if first.batches_with(chains[entry[1]]))[:most_others]
-    ready[:] = [entry for entry in ready if entry not in others]
-    heapq.heapify(ready)
-    return [number, *(other for _, other in others)]
+def _take_batch(ready: list[ChainProgress], most_others: int) -> list[ChainProgress]:
+    """Take the first chain off a list, and up to ``most_others`` others that batch with it."""
+    first = ready.pop(0)
+    n_others = max(0, min(first.chain.batch_size - 1, most_others))
+    others = [progress for progress in ready if first.batches_with(progress)][:n_others]
+    for progress in others:
+        ready.remove(progress)
+    return [first, *others]
 
 
 def _compute_items(

@@ -22,7 +22,7 @@ from pipeline.workflow.record import settings_of
 from pipeline.workflow.stage import AnyStage, Chain, Failure, Item, MissingInputs, Results, Upstream
 
 
-@dataclass
+@dataclass(eq=False)
 class ChainProgress:
     """How far a chain has got."""
 

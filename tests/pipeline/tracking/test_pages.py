@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -106,9 +107,15 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
+def answers(address: str) -> bool:
+    with contextlib.suppress(OSError):
+        return urllib.request.urlopen(address, timeout=1).status == 200
+    return False
+
+
 @contextlib.contextmanager
 def pages(store: Path, *words: str) -> Iterator[tuple[subprocess.Popen, str]]:
-    """Run `puddle ui`; yield its process and the address that it prints once the server is up."""
+    """Run `puddle ui`; yield its process and the address that it prints of the server, which is up."""
     command = [sys.executable, "-m", "pipeline", "ui", "--store", str(store), "--port", str(free_port()), *words]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     server = subprocess.Popen(
@@ -116,8 +123,9 @@ def pages(store: Path, *words: str) -> Iterator[tuple[subprocess.Popen, str]]:
     )
     try:
         assert server.stdout is not None
-        line = next(line for line in server.stdout if line.startswith("MLflow: "))
-        yield server, line.split()[1]
+        address = next(line for line in server.stdout if line.startswith("MLflow: ")).split()[1]
+        wait_for(lambda: answers(f"{address.partition('#')[0]}health"), "the server never answered")
+        yield server, address
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(server.pid, signal.SIGKILL)
