@@ -19,12 +19,12 @@ from pipeline.commands.run_comparison import read_kit
 from pipeline.store.tables import Columns, csv_of
 from pipeline.vision.markers_file import Markers, TaggedBar, markers_of
 from pipeline.vision.video import film
-from tasks.analysis.built_run import BuiltRobot, joint_angles
+from tasks.analysis.built_run import BuiltRobot
 from tasks.arrays import Float64
 from tasks.design import N_LINKS, rest_pose
 from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
 from tasks.fabrication.throwing_bars import throwing_bars
-from tasks.fabrication.timeline import envelope
+from tasks.fabrication.timeline import Playback, driven_joints, envelope
 from tasks.seeding import generator
 from tasks.simulation import simulate
 
@@ -61,13 +61,15 @@ def motion_of(robot: BuiltRobot, seconds: float, slower: float) -> tuple[Float64
 
 def _risen(robot: BuiltRobot, time: Float64, poses: Float64) -> Float64:
     """Lower the angles of the joints by the timeline's envelope while it rises. The root's path stays."""
-    rising = np.flatnonzero(time < robot.ramp)
+    ramp, parent = Playback().ramp, robot.design.parent[0]
+    rising = np.flatnonzero(time < ramp)
     seen = poses[rising]
-    share = envelope(time[rising], duration=float(robot.commanded_time[-1]), ramp=robot.ramp)[:, None]
-    angle = joint_angles(robot.design, robot.joints, {link: seen[:, link, 2] for link in range(N_LINKS)})
+    share = envelope(time[rising], duration=time[-1] + ramp, ramp=ramp)[:, None]
+    joints = list(driven_joints(robot.design))
+    angle = seen[:, joints, 2] - seen[:, parent[joints], 2] - robot.design.rest_angle[0, joints]
     bodies = robot.design[np.zeros(len(rising), dtype=int)]
     turned = bodies.rest_angle.copy()
-    turned[:, list(robot.joints)] += share * angle
+    turned[:, joints] += share * angle
     x, y, angles = rest_pose(replace(bodies, rest_angle=turned))
     cosine, sine = np.cos(seen[:, :1, 2]), np.sin(seen[:, :1, 2])
     risen = poses.copy()

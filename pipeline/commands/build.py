@@ -114,21 +114,15 @@ def compare_run(
     markers: Annotated[Path | None, MARKERS_OPTION] = None,
     lens: LensVideo = None,
     slowdown: Slowdown = 1.0,
-    start: Annotated[
-        float | None,
-        typer.Option(
-            "--start", help="Time in the video at which the servos began [s]; found from the joints if not given."
-        ),
-    ] = None,
     out: Annotated[Path, typer.Option("--out", help="The page (.html).")] = Path("run.html"),
     store: StorePath = DEFAULT_STORE,
 ) -> None:
     """Compare a built robot's run with what was predicted.
 
-    Path, speed and the phase lag of each joint stand on the terminal and on a page. The prediction is that of a study's
+    How far and how fast it went, and its gait, stand on the terminal and on a page. The prediction is that of a study's
     ensemble (--study), or what the kit records; its interval is two standard deviations of the members to either side.
     """
     from pipeline.commands.run_comparison import RunSource, compare_built_run
 
-    source = RunSource(run, markers, lens, slowdown, start)
+    source = RunSource(run, markers, lens, slowdown)
     to_stdout(*compare_built_run(source, kit, study, store, out))

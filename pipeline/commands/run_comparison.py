@@ -13,8 +13,9 @@ from pipeline.commands.options import output_suffix
 from pipeline.config.loading import load
 from pipeline.config.settings import RolloutSettings
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_files import KIT, KIT_MANIFEST, read_timeline
-from pipeline.report.run_page import figures_of_run, in_mm, render_run, verdict
+from pipeline.fabrication.kit_files import KIT, KIT_MANIFEST
+from pipeline.report.render import as_text
+from pipeline.report.run_page import render_run, verdict
 from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk
 from pipeline.store.design_file import read_design
@@ -22,13 +23,11 @@ from pipeline.store.encoding import check_format, decode_json
 from pipeline.store.track_file import read_track_columns, track_table
 from pipeline.vision.markers_file import Markers
 from pipeline.vision.track_video import TrackOptions, follow
-from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, compare_with_simulation
+from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, compare_with_simulation
 from tasks.design import N_LINKS
 from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.simulation import simulate
 from tasks.world import ENVIRONMENTS, Physics, ResidualSlush, froude_time
-
-_MOST_SPEED = 5.0  # of a link in a tank [m/s]
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,6 @@ class RunSource:
     markers: Path | None
     lens: Path | None
     slowdown: float
-    start: float | None  # when the timeline began [s]; None if the joints must tell
 
 
 def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Path, out: Path) -> list[str]:
@@ -64,21 +62,14 @@ def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Pa
         robot = _predicted(robot, open_study(study, store))
     paths, lines = _link_paths(source)
     try:
-        comparison = compare_with_simulation(robot, paths, start=source.start)
+        comparison = compare_with_simulation(robot, paths)
     except RunError as error:
         raise PuddleError(f"{source.path} with {kit}: {error}") from None
     page = render_run(comparison, source.path.name)
     with disk.explained("writing the page", out, advice="choose another file"):
         disk.place(out, page.encode())
-    run = comparison.measured
-    lines += [
-        f"{robot.name}: {run.time[-1] - run.time[0]:.1f} s of steady gait at {robot.frequency:.2f} Hz",
-        *(f"{what}: {measured}, simulated {simulated}" for what, measured, simulated in figures_of_run(comparison)),
-    ]
-    if comparison.prediction is not None:
-        mean, low, high = map(in_mm, comparison.prediction)
-        lines.append(f"predicted: {mean} mm/s, within {low} to {high}")
-    return [*lines, f"page: {out}", verdict(comparison)]
+    lines.append(f"{robot.name}: {comparison.measured.time[-1]:.1f} s of steady gait")
+    return [*lines, *as_text(RunRow, comparison.rows()), f"page: {out}", verdict(comparison)]
 
 
 def _predicted(robot: BuiltRobot, study: Study) -> BuiltRobot:
@@ -94,7 +85,7 @@ def _predicted(robot: BuiltRobot, study: Study) -> BuiltRobot:
 
 
 def read_kit(folder: Path) -> BuiltRobot:
-    """Read a kit's folder. Raises PuddleError if it is none, or lacks its timeline."""
+    """Read a kit's folder. Raises PuddleError if it is none."""
     path = folder / KIT_MANIFEST
     try:
         document = decode_json(path.read_bytes(), str(path))
@@ -103,11 +94,8 @@ def read_kit(folder: Path) -> BuiltRobot:
             f"{folder}: expected a kit of `puddle fabricate`, found no {path.name}: {error.strerror}"
         ) from None
     check_format(document, schema=KIT.schema, version=KIT.version, source=str(path))
-    if not (folder / "timeline.json").exists():
-        raise PuddleError(f"{folder}: has no timeline.json, because its servos can't play the gait: no run is its own")
     simulated: Mapping[str, Any] = document["simulated"]
     choices = FabricationSettings.model_validate(document["settings"])
-    timeline = read_timeline(folder / "timeline.json")
     rollout = RolloutSettings.model_validate(simulated["rollout"])
     scale, predicted = choices.kit.scale_mm_per_m / 1000, simulated["predicted"]
     physics = Physics.model_validate(simulated["physics"])
@@ -118,10 +106,6 @@ def read_kit(folder: Path) -> BuiltRobot:
         design=read_design(folder / "design.json"),
         scale=scale,
         time_scale=time_scale,
-        joints=timeline.joints,
-        commanded_time=timeline.time,
-        commanded=timeline.angle,
-        ramp=choices.playback.ramp,
         environment=ENVIRONMENTS["true_slush"].environment(simulated["depth"], simulated["media"]),
         physics=physics,
         n_settle=rollout.n_settle,
@@ -158,11 +142,5 @@ def _read_tracks(path: Path) -> dict[int, LinkPath]:
         own = table[table[:, 0] == link]
         if (late := np.flatnonzero(np.diff(own[:, 1]) <= 0)).size:
             raise PuddleError(f"{path}: link {link}, frame {late[0] + 1}: expected a time later than the frame before")
-        speed = np.hypot(*np.diff(own[:, 2:4], axis=0).T) / np.diff(own[:, 1])
-        if (fast := np.flatnonzero(speed > _MOST_SPEED)).size:
-            raise PuddleError(
-                f"{path}: link {link}, frame {fast[0] + 1}: it moves at {speed[fast[0]]:.3g} m/s, expected at most "
-                f"{_MOST_SPEED:g}: x and y are in metres and times in seconds; remove frames that were tracked wrongly"
-            )
         found[link] = (own[:, 1], np.column_stack((own[:, 2:4], np.unwrap(own[:, 4]))))
     return found

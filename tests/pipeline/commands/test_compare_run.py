@@ -14,15 +14,14 @@ from command_line import call as called
 
 from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
-from pipeline.fabrication.kit_files import KIT, timeline_json, write_folder
+from pipeline.fabrication.kit_files import KIT, write_folder
 from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_document
 from pipeline.vision.markers_file import RobotTags, markers_of
 from tasks.analysis.built_run import steady_speed
-from tasks.fabrication.calibration import Calibration
 from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
 from tasks.fabrication.throwing_bars import throwing_bars
-from tasks.fabrication.timeline import Playback, timeline_of
+from tasks.fabrication.timeline import Playback
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush, Slush, TrueSlush, froude_time
 
@@ -47,13 +46,7 @@ def run(robot, tmp_path_factory):
     """A folder with the kit, the tracks of its simulation at bench scale, and its speed [m/s]."""
     folder = tmp_path_factory.mktemp("run")
     choices = FabricationSettings(playback=Playback(duration=10.0))
-    servo = {"centre_us": 1500, "direction": 1, "us_per_rad": 570, "min_us": 900, "max_us": 2100, "max_speed": 7}
-    servos = [{"joint": joint, "channel": joint, **servo} for joint in (2, 4)]
-    line = timeline_of(robot, choices.playback, time_scale=TIME)
-    files = {
-        "design.json": json.dumps(design_document(robot)).encode(),
-        "timeline.json": timeline_json(line, Calibration.model_validate({"servos": servos})),
-    }
+    files = {"design.json": json.dumps(design_document(robot)).encode()}
     simulated = {
         "depth": 2.0,
         "physics": LOCKED.model_dump(mode="json"),
@@ -103,15 +96,18 @@ def predicting(run, tmp_path, mean, spread):
 
 
 def test_the_simulation_as_a_robot_is_as_simulated(run, tmp_path, capsys):
-    code, said, page = compared(run, tmp_path, capsys, "--start", BEGAN)
+    code, said, page = compared(run, tmp_path, capsys)
     assert code == 0 and "No ensemble predicts this run" in said
-    lines = {line.split(":")[0]: line for line in said.splitlines()}
-    measured, simulated = (float(word) for word in re.findall(r"[+-][\d.]+", lines["speed"]))
-    assert measured == pytest.approx(1000 * run[2], abs=0.3)
+    (_, measured, gait), (_, simulated, expected) = (numbers(said, what) for what in ("measured", "simulated"))
+    assert measured == pytest.approx(1000 * run[2], abs=0.5) and gait == expected == pytest.approx(0.2 / TIME, abs=0.01)
     assert abs(measured - simulated) < 0.1 * abs(measured) + 1  # other windows of a run that is not quite periodic
-    for joint in (2, 4):
-        assert f"joint {joint}, lag behind the command" in lines
-    assert page.read_text().count("<svg") == 2
+    assert page.read_text().count("<svg") == 1
+
+
+def numbers(said, what):
+    """Displacement [mm], speed [mm/s] and gait [Hz] in a line of the table."""
+    line = next(line for line in said.splitlines() if line.startswith(what))
+    return [float(word.replace("−", "-")) for word in re.findall(r"[+−-]?\d+(?:\.\d+)?", line)]
 
 
 @pytest.mark.parametrize(
@@ -120,41 +116,29 @@ def test_the_simulation_as_a_robot_is_as_simulated(run, tmp_path, capsys):
 def test_the_last_line_says_whether_the_prediction_held(run, tmp_path, capsys, off, verdict):
     code, said, _ = compared(run, tmp_path, capsys, kit=predicting(run, tmp_path, run[2] + off, 0.003))
     assert code == 0 and said.splitlines()[-1].startswith(verdict)
-    assert ("less than the +" in said) == (off > 0) and said.endswith("mm/s that the kit's ensemble predicted.\n")
-    assert "lag relative to the mean of the joints" in said
+    assert "predicted by the kit's" in said and "the kit's ensemble says" in said.splitlines()[-1]
 
 
 def test_a_prediction_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):
     """Tenths, so that a speed just outside of an interval does not read as its limit."""
     _, said, _ = compared(run, tmp_path, capsys, kit=predicting(run, tmp_path, run[2], 0.1))
     assert "the prediction leaves the direction open" in said.splitlines()[-1]
-    assert f"{1000 * run[2] - 200:+.1f} to {1000 * run[2] + 200:+.1f} mm/s" in said.splitlines()[-1]
+    ends = re.search(r"says (\S+) to (\S+)\.$", said.replace("−", "-").strip()).groups()
+    assert list(map(float, ends)) == pytest.approx([1000 * run[2] - 200, 1000 * run[2] + 200], abs=0.051)
 
 
 def test_the_ensemble_of_a_study_predicts_the_run(run, recorded, tmp_path, capsys):
     """For a rollout, as what a kit records of its own: with the study's physics, in the depth of the kit."""
-    code, said, page = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
-    assert code == 0 and said.endswith("mm/s that the ensemble of study tiny predicted.\n")
-    mean, low, high = re.search(r"predicted: (\S+) mm/s, within (\S+) to (\S+)", said).groups()
-    assert f"Predicted speed: {mean} mm/s ({low} to {high})" in page.read_text()
+    code, said, _ = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
+    assert code == 0 and "the ensemble of study tiny says" in said.splitlines()[-1]
+    ends = re.search(r"says (\S+) to (\S+)\.$", said.replace("−", "-").strip()).groups()
     study = open_study("tiny", recorded)
     design, rollout = read_kit(run[0] / "kit").design, study.settings.rollout
     steps = {"n_settle": rollout.n_settle, "n_measure": rollout.n_measure, "physics": study.settings.physics}
     found = simulate(design, ResidualSlush(depth=2.0, ensemble=study.ensemble()), **steps).displacement
     seconds = rollout.n_measure * study.settings.physics.time_step * TIME
-    assert float(mean) == pytest.approx(1000 * 0.07 * found.mean() / seconds, abs=0.05)
-
-
-def millimetres(run, path):
-    head, *rows = (run[0] / "run.csv").read_text().splitlines()
-    cells = (row.split(",") for row in rows)
-    path.write_text("\n".join([head, *(f"{link},{t},{1000 * float(x)},{y},{angle}" for link, t, x, y, angle in cells)]))
-
-
-def far(run, path):
-    trace = run[1].copy()
-    trace[:, 1, 0] += 2.0
-    tracks_of(path, trace)
+    expected = [1000 * 0.07 * (found.mean() + k * found.std()) / seconds for k in (-2, 2)]
+    assert list(map(float, ends)) == pytest.approx(expected, abs=0.051)
 
 
 HEAD = "throw,time,x,y,angle\n"
@@ -163,13 +147,11 @@ HEAD = "throw,time,x,y,angle\n"
 @pytest.mark.parametrize(
     ("write", "message"),
     [
-        (far, "is this the kit of another robot"),
-        (lambda run, path: tracks_of(path, run[1], links=(2, 4)), "no tag of link 0"),
-        (lambda run, path: tracks_of(path, run[1], links=(0, 2)), "expected link 4 or 5"),
+        (lambda run, path: tracks_of(path, run[1], links=(2, 4)), "expected tags of link 0"),
+        (lambda run, path: tracks_of(path, run[1], links=(0, 1)), "joints do not swing"),
         (lambda run, path: path.write_text(HEAD + "7,0,0,0,0\n"), "expected links of a robot, 0 to 5"),
         (lambda run, path: path.write_text("throw,time,x\n0,0,0\n"), "without y, angle"),
-        (lambda run, path: path.write_text(HEAD + "0,1,0,0,0\n2,1,0,0.1,0\n4,1,0.1,0,0\n"), "expected at least 3"),
-        (millimetres, "m/s, expected at most 5: x and y are in metres"),
+        (lambda run, path: path.write_text(HEAD + "0,1,0,0,0\n2,1,0,0.1,0\n"), "expected at least two periods"),
     ],
 )
 def test_tracks_of_something_else(write, message, run, tmp_path, capsys):
@@ -182,11 +164,8 @@ def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):
     kit = predicting(run, tmp_path, 0.0, 1.0)
     faster = replace(robot, frequency=robot.frequency / 1.5)
     (kit / "design.json").write_text(json.dumps(design_document(faster)))
-    for start in ((), ("--start", BEGAN)):
-        assert "is this the kit of another" in compared(run, tmp_path, capsys, *start, kit=kit)[1]
+    assert "is this the kit of another" in compared(run, tmp_path, capsys, kit=kit)[1]
     assert "expected a kit of `puddle fabricate`" in compared(run, tmp_path, capsys, kit=tmp_path)[1]
-    (kit / "timeline.json").unlink()
-    assert "has no timeline.json" in compared(run, tmp_path, capsys, kit=kit)[1]
     video = tmp_path / "run.mp4"
     assert "a video needs --markers" in compared(run, tmp_path, capsys, tracks=video)[1]
 
@@ -215,11 +194,9 @@ def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, t
     code, said, _ = compared(run, tmp_path, capsys, "--markers", tmp_path / "markers.yaml", tracks=video, kit=kit)
     assert code == 0 and "5 links, lost in 0 of" in said  # the tag of link 1 is behind that of the root
     lasted = float(re.search(r"crane: ([\d.]+) s of steady gait", said)[1])
-    assert lasted == pytest.approx(np.ptp(truth["time"][steady]), abs=0.2)
-    measured, simulated = (float(word) / 1000 for word in re.findall(r"speed: (\S+) mm/s, simulated (\S+) mm", said)[0])
+    assert lasted == pytest.approx(np.ptp(truth["time"][steady]), abs=0.5)
+    measured, simulated = (numbers(said, what)[1] / 1000 for what in ("measured", "simulated"))
     slow = steady_speed(truth["time"][steady], truth["x"][steady], period)
     assert measured == pytest.approx(slow, abs=0.001 / (lasted - period)) and slow == pytest.approx(speed / 2, rel=0.1)
     assert simulated == pytest.approx(speed, rel=0.05)
-    assert said.splitlines()[-1].startswith(
-        f"The robot did not move as predicted: it went {1000 * measured:+.1f} mm/s, less"
-    )
+    assert said.splitlines()[-1].startswith("The robot did not move as predicted")
