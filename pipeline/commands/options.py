@@ -29,27 +29,11 @@ _STORE_VARIABLE = "PUDDLE_STORE"
 DEFAULT_STORE = Path("store")
 
 
-def names_of_studies(context: typer.Context, incomplete: str) -> list[str]:
-    """Complete the name of a study of the store."""
-    folder = Path(context.params.get("store") or os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE).expanduser()
-    names = (path.parent.name for path in (folder / "studies").glob("*/study.json"))
-    return sorted(name for name in names if name.startswith(incomplete))
-
-
-def _names_of_presets(incomplete: str) -> list[str]:
-    """Complete the name of a preset."""
-    from pipeline.config.loading import preset_names
-
-    return [name for name in preset_names() if name.startswith(incomplete)]
-
-
 _A_STUDY = "A study of the store: its recorded settings and results."
 StorePath = Annotated[Path, typer.Option("--store", envvar=_STORE_VARIABLE, help="The folder that holds results.")]
-StudyArgument = Annotated[str, typer.Argument(metavar="NAME", autocompletion=names_of_studies, help=_A_STUDY)]
-OptionalStudy = Annotated[str | None, typer.Argument(metavar="[NAME]", autocompletion=names_of_studies, help=_A_STUDY)]
-StudyName = Annotated[
-    str | None, typer.Option("--study", metavar="NAME", autocompletion=names_of_studies, help=_A_STUDY)
-]
+StudyArgument = Annotated[str, typer.Argument(metavar="NAME", help=_A_STUDY)]
+OptionalStudy = Annotated[str | None, typer.Argument(metavar="[NAME]", help=_A_STUDY)]
+StudyName = Annotated[str | None, typer.Option("--study", metavar="NAME", help=_A_STUDY)]
 Workers = Annotated[
     int | None, typer.Option("--workers", min=0, help="Cores of this machine to use; default all, 0 runs without Ray.")
 ]
@@ -101,9 +85,7 @@ class SettingsOptions:
     preset: Annotated[
         str | None,
         typer.Option(
-            "--preset",
-            autocompletion=_names_of_presets,
-            help="Settings in configs/, such as smoke; laptop by default. A wrong name lists them all.",
+            "--preset", help="Settings in configs/, such as smoke; laptop by default. A wrong name lists them all."
         ),
     ] = None
     settings_file: Annotated[Path | None, typer.Option("--settings", help="A settings file, not a preset.")] = None

@@ -18,7 +18,6 @@ from pipeline.commands.options import (
     StudyArgument,
     StudyOptions,
     TrackingUri,
-    names_of_studies,
     output_suffix,
     program,
     with_options,
@@ -33,25 +32,16 @@ _LINE_LENGTH = 110  # of a comparison
 
 
 @with_options
-def status(
-    options: StudyOptions,
-    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of everything that is done.")] = False,
-    as_json: AsJson = False,
-) -> None:
+def status(options: StudyOptions, as_json: AsJson = False) -> None:
     """Print what of a study is done, running, failed and missing.
 
     Where the store has a study of that name, its recorded settings count, and differences from those given are named.
     """
-    from pipeline.commands.study_status import digest_lines, shown_settings, status_lines, study_status
+    from pipeline.commands.study_status import shown_settings, status_lines, study_status
 
-    if digests and as_json:
-        raise PuddleError("expected --digests or --json, got both")
     store = options.open_store()
     settings, differences, record = shown_settings(options.settings(), store)
     with store.lock_to_read():
-        if digests:
-            to_stdout(*digest_lines(settings, store))
-            return
         found = study_status(settings, store, record, with_diverged=True)
     if as_json:
         print_json({**asdict(found), "done": found.is_done, "settings_differ": differences})
@@ -111,9 +101,7 @@ def champions(study: StudyArgument, store: StorePath = DEFAULT_STORE) -> None:
 @with_options
 def compare(
     a: StudyArgument,
-    b: Annotated[
-        str | None, typer.Argument(metavar="[B]", autocompletion=names_of_studies, help="The reference, a study.")
-    ] = None,
+    b: Annotated[str | None, typer.Argument(metavar="[B]", help="The reference, a study.")] = None,
     arms: Annotated[
         tuple[str, str] | None, typer.Option("--arms", help="Two arms of one study, such as designed_throws dry_land.")
     ] = None,

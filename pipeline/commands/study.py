@@ -40,7 +40,6 @@ def stage_command(*stages: str) -> Callable[..., None]:
             typer.Option(
                 "--recompute",
                 metavar="STAGE",
-                autocompletion=lambda: stages or tuple(STAGE_SUMMARIES),
                 help="Discard this stage's results and make them anew, and what depends on them if they change.",
             ),
         ] = None,

@@ -153,19 +153,6 @@ def status_lines(status: StudyStatus, *, store_bytes: int) -> Iterator[str]:
     yield from status.notes
 
 
-def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Give the SHA-256 of every item of the study that is done, and of its files, in the order of the study's plan.
-
-    An item's digest covers the list of its files with their digests; the report and MLflow show the same one.
-    """
-    for results in survey(settings, STAGES, store).upstream.values():
-        for chain, manifests in results.done.items():
-            for index, manifest in enumerate(manifests):
-                yield f"{manifest.digest}  {results.stage}/{chain.label}/{index}"
-                for name, entry in sorted(manifest.files.items()):
-                    yield f"{entry.sha256}  {results.stage}/{chain.label}/{index}/{name}"
-
-
 @dataclass(frozen=True)
 class ListedStudy:
     """What the list shows of a study."""

@@ -3,8 +3,7 @@
 The paper put its robot at one end of a tank of gel beads and water and waited until it reached the other end or 150 s
 had passed, then drained the tank and repeated the test on the dry floor: 8 times in slush, 6 times on the floor. Here
 the tank is scaled to the simulated robot: lengths by the scale of the build, times by Froude's law, the only one that
-keeps weight, buoyancy, drag and inertia in proportion. At 70 mm per metre, 150 s are 567 s of simulation. The paper
-does not state its scale of times; the speed of its servos suggests the simulation's frequencies, which are counted too.
+keeps weight, buoyancy, drag and inertia in proportion. At 70 mm per metre, 150 s are 567 s of simulation.
 
 A simulation repeats itself exactly, so each further trial starts at another moment of the gait, with its joints shifted
 by less than printing can hold. The simulated tank has no walls: whether a robot fits follows from its size, and two
@@ -15,15 +14,14 @@ simulation's limit and with the servo's torque, which scales as weight times len
 of a robot of 1.18 kg at 70 mm per metre as 143 N·m do in the simulation.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from tasks.arrays import Float64
+from tasks.arrays import Bools, Float64
 from tasks.design import Designs, concatenate, jittered
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts
@@ -98,22 +96,14 @@ class Tank(Parameters):
         """Return the time limit in steps of time_step [s]."""
         return max(1, round(self.seconds / froude_time(self.scale) / time_step))
 
-    def built_speed(self, simulated: float) -> float:
-        """Convert a simulated speed to one of the built robot [m/s]."""
-        return simulated * self.scale / froude_time(self.scale)
 
+class Crossings(NamedTuple):
+    """How n_robots fared in the tank, in simulated metres; NaN where a robot diverged."""
 
-@dataclass(frozen=True)
-class Crossing:
-    """Result of one robot in the tank, in simulated metres and seconds."""
-
-    length: float  # length of the settled robot along the tank [m]; NaN where it diverged
-    height: float  # height of the settled robot [m]; NaN where it diverged
-    misfit: str  # why it does not fit into the tank: "too long", "too wide and too high", ...; "" if it fits
-    travelled: float  # distance that its centre of mass travelled until it crossed or time ran out [m]
-    crossed: bool  # whether it crossed in time; False for a robot as long as the tank or wider
-    seconds: float  # simulated time until it crossed [s]; NaN if it did not
-    speed: float  # mean speed over ``travelled`` [m/s]
+    length: Float64  # (n_robots,) length of the settled robot along the tank [m]
+    height: Float64  # (n_robots,) height of the settled robot [m]
+    travelled: Float64  # (n_robots,) by its centre of mass until it crossed or time ran out [m]
+    crossed: Bools  # (n_robots,) whether it crossed in time; False for a robot as long as the tank or wider
 
 
 @dataclass(frozen=True)
@@ -121,8 +111,7 @@ class TankTrials:
     """How often one robot crossed."""
 
     n: int  # trials
-    n_crossed: int  # in the time limit, by Froude's law
-    n_crossed_at_kept_frequencies: int  # in the time limit, if the simulation's frequencies are kept
+    n_crossed: int  # in the time limit
     n_immobile: int  # trials that ended at most ``Tank.immobile`` from where they began
 
 
@@ -138,15 +127,13 @@ def restarted(design: Designs, n: int, rng: Generator) -> Designs:
     return concatenate([design, *begun])
 
 
-def count_crossings(trials: Sequence[Crossing], tank: Tank) -> TankTrials:
-    """Count the trials of one robot that crossed in time, by either law of scaling, and those that went nowhere."""
-    # At kept frequencies the tank's limit is as many simulated seconds. A trial that did not cross has NaN seconds.
-    in_time = [trial.crossed and trial.seconds <= tank.seconds for trial in trials]
-    immobile = [tank.scale * abs(trial.travelled) <= tank.immobile for trial in trials]
-    return TankTrials(len(trials), sum(trial.crossed for trial in trials), sum(in_time), sum(immobile))
+def count_crossings(trials: Crossings, tank: Tank) -> TankTrials:
+    """Count the trials of one robot that crossed in time, and those that went nowhere."""
+    immobile = tank.scale * np.abs(trials.travelled) <= tank.immobile
+    return TankTrials(len(immobile), int(trials.crossed.sum()), int(immobile.sum()))
 
 
-def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int, time_step: float) -> list[Crossing]:
+def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int) -> Crossings:
     """Return how each of n_designs robots crosses the tank.
 
     A settled robot starts with its rear at one end. It has crossed when its centre of mass has travelled the tank's
@@ -156,28 +143,23 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
 
     Args:
         designs: n_designs designs.
-        rollouts: their rollouts of ``n_settle`` + ``tank.n_steps(time_step)`` steps, with traces, without an ensemble.
+        rollouts: their rollouts of ``n_settle`` + ``tank.n_steps(...)`` steps, with traces, without an ensemble.
         tank: the tank.
         n_settle: steps before the motors start, at least 1, because a trace starts after the first step.
-        time_step: length of a step [s].
     """
     assert rollouts.trace is not None and n_settle > 0
     trace = rollouts.trace[:, n_settle - 1 :].astype(np.float64)
     cos, sin = np.abs(np.cos(trace[:, 0, :, 2])), np.abs(np.sin(trace[:, 0, :, 2]))
     long, short = designs.length_scale, 1 / designs.length_scale
-    lengths = _extent(trace[:, 0, :, 0], (sin * long + cos * short) / 2).tolist()
-    heights = _extent(trace[:, 0, :, 1], (cos * long + sin * short) / 2).tolist()
+    length = _extent(trace[:, 0, :, 0], (sin * long + cos * short) / 2)
+    height = _extent(trace[:, 0, :, 1], (cos * long + sin * short) / 2)
     centre = trace[..., 0].mean(axis=2)  # every link has the same mass
-    found = []
-    for length, height, along in zip(lengths, heights, centre, strict=True):
-        travelled, distance = along - along[0], tank.simulated_length - length
-        passes = distance > 0 and tank.robot_width <= tank.width
-        reached = np.flatnonzero(travelled >= distance) if passes else np.array([], dtype=np.int64)
-        last = int(reached[0]) if reached.size else len(travelled) - 1
-        moved, time = float(travelled[last]), last * time_step
-        seconds, speed = time if reached.size else np.nan, moved / max(time, time_step)
-        found.append(Crossing(length, height, _misfit(length, height, tank), moved, bool(reached.size), seconds, speed))
-    return found
+    travelled, distance = centre - centre[:, :1], tank.simulated_length - length
+    passes = (distance > 0) & (tank.robot_width <= tank.width)
+    beyond = passes[:, None] & (travelled >= distance[:, None])
+    crossed = beyond.any(axis=1)
+    last = np.where(crossed, beyond.argmax(axis=1), travelled.shape[1] - 1)
+    return Crossings(length, height, travelled[np.arange(len(last)), last], crossed)
 
 
 def _extent(middle: Float64, half: Float64) -> Float64:
@@ -186,8 +168,8 @@ def _extent(middle: Float64, half: Float64) -> Float64:
     return extent
 
 
-def _misfit(length: float, height: float, tank: Tank) -> str:
-    """Say in which dimensions a settled robot does not fit into the tank."""
+def misfit(length: float, height: float, tank: Tank) -> str:
+    """Say in which dimensions [m] a settled robot does not fit: "too wide and too high", "" if it fits."""
     exceeded = {
         "long": length >= tank.simulated_length,
         "wide": tank.robot_width > tank.width,

@@ -14,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -23,11 +24,11 @@ from marked_processes import Marked, started
 from small_study import run
 
 from pipeline.cluster import serial_cluster
-from pipeline.commands.study_status import digest_lines
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
+from pipeline.workflow.graph import survey
 
 ROOT = Path(__file__).parents[2]
 
@@ -65,7 +66,7 @@ def test_a_cluster_loses_a_machine_half_way_and_gains_another(torture, short_fol
         folder.mkdir()
         (folder / "two.yaml").write_text(STUDY)
         on_machines_that_change(folder, half_way)
-        found = list(digest_lines(settings, Store.open(folder / "store", create=False)))
+        found = list(_digests(settings, Store.open(folder / "store", create=False)))
         assert [line for line in found if "  report/" not in line] == expected
         assert any("  report/" in line for line in found)  # it contains the time, and so differs
 
@@ -75,7 +76,7 @@ def serially(settings: Settings, folder: Path) -> list[str]:
     store = Store.open(folder, create=True)
     with serial_cluster() as cluster:
         run(settings, store, cluster, STAGES[:-1])
-    return list(digest_lines(settings, store))
+    return list(_digests(settings, store))
 
 
 def on_machines_that_change(folder: Path, half_way: int) -> None:
@@ -146,3 +147,12 @@ def answers(host: str, port: int) -> bool:
         socket.create_connection((host, port), 1).close()
         return True
     return False
+
+
+def _digests(settings: Settings, store: Store) -> Iterator[str]:
+    """Name every file of the study with its digest."""
+    for results in survey(settings, STAGES, store).upstream.values():
+        for chain, manifests in results.done.items():
+            for index, manifest in enumerate(manifests):
+                for name, entry in sorted(manifest.files.items()):
+                    yield f"{entry.sha256}  {results.stage}/{chain.label}/{index}/{name}"

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.analysis.registry import OfTrial, StudyData, analysis, column
-from tasks.analysis.tank import Crossing, Tank, TankTrials, count_crossings, crossings, nearest_the_mean, restarted
+from tasks.analysis.tank import (
+    Crossings,
+    Tank,
+    TankTrials,
+    count_crossings,
+    crossings,
+    misfit,
+    nearest_the_mean,
+    restarted,
+)
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.world import DryLand, Environment, Physics
@@ -15,9 +24,8 @@ _TRIALS_AT_ONCE = 16  # trials whose traces are in memory at the same time: 35,0
 
 
 def written_trials(trials: TankTrials) -> str:
-    """Write how often a robot crossed, in brackets at the simulation's frequencies, and how often it stayed."""
-    crossed = f"crosses {trials.n_crossed} of {trials.n} ({trials.n_crossed_at_kept_frequencies})"
-    return f"{crossed}, immobile {trials.n_immobile}"
+    """Write how often a robot crossed, and how often it stayed."""
+    return f"crosses {trials.n_crossed} of {trials.n}, immobile {trials.n_immobile}"
 
 
 @dataclass(frozen=True)
@@ -30,7 +38,6 @@ class TankRow(OfTrial):
     length_cm: float | None = column("length", "cm", form="{:.0f}", meaning="As built, settled in the filled tank.")
     height_cm: float | None = column("height", "cm", form="{:.0f}")
     misfit: str = column("fit", form=lambda why: why or "fits", meaning="Why it does not fit into the tank.")
-    speed_mm_s: float | None = column("speed", "mm/s", form="{:z.0f}", meaning="As built, in the first trial.")
     wet_trials: TankTrials = column("in the tank", form=written_trials)
     dry_trials: TankTrials = column("on the dry floor", form=written_trials)
     dry_servo_trials: TankTrials = column("with the servo's torque", form=written_trials)
@@ -55,7 +62,7 @@ def _metrics(rows: Sequence[TankRow]) -> dict[str, float | None]:
     section="tank",
     each="arm",
     needs_tank=True,
-    version=2,
+    version=3,
     metrics=_metrics,
     cost=200,
 )
@@ -75,7 +82,7 @@ def tank(study: StudyData) -> list[TankRow]:
         rng = study.rng("tank", champion.environment, champion.depth, champion.trial)
         tries = restarted(champion.design, tank.n_trials, rng)
         found = [_in_tank(study, tank, at, under, tries) for at, under in tests]
-        wet = found[0][0]
+        length, height = found[0].length[0], found[0].height[0]
         rows.append(
             TankRow(
                 champion.environment,
@@ -84,24 +91,23 @@ def tank(study: StudyData) -> list[TankRow]:
                 i == chosen,
                 _known(champion.zero_shot),
                 _known(on_land[i]),
-                _known(100 * tank.scale * wet.length),
-                _known(100 * tank.scale * wet.height),
-                wet.misfit or found[1][0].misfit,
-                _known(1000 * tank.built_speed(wet.speed)),
+                _known(100 * tank.scale * length),
+                _known(100 * tank.scale * height),
+                misfit(length, height, tank) or misfit(found[1].length[0], found[1].height[0], tank),
                 *(count_crossings(trials, tank) for trials in found),
             )
         )
     return rows
 
 
-def _in_tank(study: StudyData, tank: Tank, at: Environment, under: Physics, tries: Designs) -> list[Crossing]:
+def _in_tank(study: StudyData, tank: Tank, at: Environment, under: Physics, tries: Designs) -> Crossings:
     """Simulate the trials of a robot in the tank."""
-    n_steps, found = tank.n_steps(under.time_step), list[Crossing]()
+    n_steps, parts = tank.n_steps(under.time_step), list[Crossings]()
     for first in range(0, len(tries), _TRIALS_AT_ONCE):
         designs = tries[first : first + _TRIALS_AT_ONCE]
         rollouts = study.simulate(at, designs, trace=True, physics=under, n_measure=n_steps)
-        found += crossings(designs, rollouts, tank, n_settle=study.settings.n_settle, time_step=under.time_step)
-    return found
+        parts.append(crossings(designs, rollouts, tank, n_settle=study.settings.n_settle))
+    return Crossings(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _known(value: float) -> float | None:

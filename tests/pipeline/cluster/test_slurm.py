@@ -14,9 +14,6 @@ from containers import DOCKER, SMALL_MEMORY
 from marked_processes import Marked, started
 from small_study import ON_DRY_LAND
 
-from pipeline.commands.study_status import digest_lines
-from pipeline.config.loading import parse
-from pipeline.config.settings import Settings
 from pipeline.store.store import Store
 
 ROOT = Path(__file__).parents[3]
@@ -117,7 +114,7 @@ def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(torture, place):
     first, other = (place / "srun.log").read_text().splitlines()
     assert "--nodes=1 " in first and "--nodelist=" in first and "--nodes=1 " in other and "--exclude=" in other
     store = Store.open(place / "store", create=False)
-    assert any("  evolve/" in line for line in digest_lines(parse(Settings, ON_DRY_LAND, name="tiny"), store))
+    assert any(stage == "evolve" for stage, _ in store.items())
 
 
 @pytest.mark.parametrize("n_nodes", [1, 2])

@@ -65,10 +65,6 @@ def test_a_study_from_the_command_line(finished, capsys):
     assert "no process is driving it" in said
     for stage in ("collect", "train", "evolve", "transfer", "report"):
         assert f"  {stage:<9} done" in said
-    assert call("status", "--digests", *finished) == 0
-    items = [json.loads(path.read_text()) for path in store.glob("items/train/*/*/manifest.json")]
-    lines = {f"{item['digest']}  train/{item['record']['label']}/0" for item in items}
-    assert items and lines <= set(capsys.readouterr().out.splitlines())
 
 
 @pytest.mark.parametrize(

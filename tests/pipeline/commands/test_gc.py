@@ -98,8 +98,8 @@ def test_nothing_is_removed_while_a_study_is_driven(store, capsys):
 def test_other_commands_refuse_to_run_while_garbage_is_removed(options, store, capsys):
     """An item that is being removed would look damaged."""
     with store.lock_all():
-        for command in ("status", "--digests"), ("status",), ("verify",):
-            assert "is removing items" in refused(capsys, *command, *options)
+        for command in ("status", "verify"):
+            assert "is removing items" in refused(capsys, command, *options)
         assert call("doctor", "--workers", "0", *options) == 1
         assert "is removing items" in capsys.readouterr().out
     with store.lock_to_read():

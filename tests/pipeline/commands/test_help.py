@@ -5,10 +5,8 @@ import importlib.metadata
 import pytest
 import typer
 from command_line import call
-from typer.testing import CliRunner
 
 from pipeline.commands.app import app
-from pipeline.store.store import Store
 
 COMMANDS = typer.main.get_command(app).commands
 
@@ -32,22 +30,3 @@ def test_the_help_of_a_command_is_whole(name, capsys, monkeypatch):
 def test_short_options_and_the_version(capsys):
     assert help_of(capsys, "-h") == help_of(capsys, "--help")
     assert help_of(capsys, "--version") == f"puddle {importlib.metadata.version('puddle')}\n"
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("puddle stud", ["studies", "study"]),
-        ("puddle status t", ["thin-slush", "tiny"]),
-        ("puddle simulate d.json --study t", ["thin-slush", "tiny"]),
-        ("puddle status --preset p", ["paper", "pontoon"]),
-    ],
-)
-def test_the_shell_completes_commands_studies_and_presets(line, expected, tmp_path, monkeypatch):
-    store = Store.open(tmp_path / "store", create=True)
-    for name in ("tiny", "thin-slush", "other"):
-        store.study_path(name).mkdir(parents=True)
-        (store.study_path(name) / "study.json").touch()
-    asked = {"_PUDDLE_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(line.split()) - 1)}
-    ran = CliRunner().invoke(app, [], prog_name="puddle", env=asked | {"PUDDLE_STORE": str(store.root)})
-    assert sorted(ran.stdout.split()) == expected

@@ -41,7 +41,6 @@ def test_status_as_json(options, store, capsys):
     assert {"n_done", "n_items", "units", "unit", "core_seconds", "failed"} <= status["stages"][2].keys()
     differing = status_of(capsys, *options, "--set", "seed=3")
     assert differing["settings_differ"] == ["seed: 1 → 3"] and states(differing) == {"done"}
-    assert "got both" in refused(capsys, "status", "--json", "--digests", *options)
 
 
 def test_what_was_made_from_a_lost_item_is_not_missing(options, store, capsys):
