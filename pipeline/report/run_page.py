@@ -45,8 +45,8 @@ def _path(comparison: RunComparison) -> tuple[Figure, str]:
     axes = figure.subplots()
     measured, simulated = comparison.measured, comparison.simulated
     if (predicted := comparison.prediction.interval) is not None:
-        ends = (1000 * speed * measured.time for speed in predicted)
-        axes.fill_between(measured.time, *ends, color=_PREDICTED, alpha=0.25, lw=0, label="predicted")
+        low, high = (1000 * speed * measured.time for speed in predicted)
+        axes.fill_between(measured.time, low, high, color=_PREDICTED, alpha=0.25, lw=0, label="predicted")
     axes.plot(simulated.time, 1000 * simulated.x, color=_SIMULATED, label="simulated")
     axes.plot(measured.time, 1000 * measured.x, color=INK, label="measured")
     axes.set(xlabel="time since the gait is steady [s]", ylabel="x [mm]")

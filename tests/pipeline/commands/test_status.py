@@ -37,7 +37,7 @@ def test_a_name_without_a_record_is_missing_and_the_others_are_named(options, st
 def test_status_as_json(options, store, capsys):
     status = status_of(capsys, "tiny", "--store", str(store.root))
     assert (status["study"], status["store"], status["done"]) == ("tiny", str(store.root), True)
-    assert [stage["stage"] for stage in status["stages"]][3] == "evolve" and states(status) == {"done"}
+    assert [stage["stage"] for stage in status["stages"]][2] == "evolve" and states(status) == {"done"}
     assert {"n_done", "n_items", "units", "unit", "core_seconds", "failed"} <= status["stages"][2].keys()
     differing = status_of(capsys, *options, "--set", "seed=3")
     assert differing["settings_differ"] == ["seed: 1 → 3"] and states(differing) == {"done"}
@@ -67,7 +67,7 @@ def test_studies_are_listed(store, capsys):
     said = capsys.readouterr().out
     assert said.startswith(f"3 studies in {store.root} (")
     assert f"broken: {path}" in said and "tiny: done\n" in said and f"settings from {record.source}" in said
-    assert "longer: stage 4 of 8: evolve, 0 of 4 items" in said and "from preset smoke, changed: " in said
+    assert "longer: stage 3 of 7: evolve, 0 of 4 items" in said and "from preset smoke, changed: " in said
     assert "1 chains failed; `" in said and "puddle status longer` names them" in said
     assert (store.export_path("tiny") / "index.html").as_uri() in said
     assert call("studies", "--json", "--store", str(store.root)) == 0
