@@ -135,7 +135,7 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
                 results.n_other_code,
             )
         )
-    notes += filter(None, [other_code(found.upstream)])
+    notes += filter(None, [found.note(settings.name) or other_code(found.upstream)])
     return StudyStatus(settings.name, str(store.root), driver, tuple(stages), tuple(notes))
 
 

@@ -81,8 +81,8 @@ class Study:
 
     @property
     def note(self) -> str:
-        """A line that names the stages that other code made; "" if none."""
-        return other_code(self.upstream)
+        """A line that names stages of which today's code would make other results, or that other code made; or ""."""
+        return self._recorded.note(self.name) or other_code(self.upstream)
 
     @property
     def progress(self) -> dict[str, StageProgress]:
