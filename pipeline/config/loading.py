@@ -103,6 +103,8 @@ def _read(text: str, name: str, *, places: Places, where: str = "", location: Lo
         said = [getattr(error, "context", None), getattr(error, "problem", None)]
         problem = ", ".join(filter(None, said)) or " ".join(str(error).split())
         raise PuddleError(f"{where or (f'{name}:{mark.line + 1}' if mark else name)}: {problem}") from None
+    except RecursionError:
+        raise PuddleError(f"{where or name}: lists or mappings are too deeply nested") from None
 
     def line_of(node: yaml.Node) -> str:
         return where or f"{name}:{node.start_mark.line + 1}"
