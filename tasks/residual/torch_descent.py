@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import torch
@@ -55,7 +56,7 @@ class TorchDescent:
     def step(self, batch: Tensor) -> float:
         """Take one iteration on the given (n_rows, n_columns) rows; return their mean loss."""
         predicted = self._forward(batch[:, : self.n_inputs], self._dropout)
-        loss = mean_loss(self._training, predicted, batch[:, self.n_inputs :])
+        loss: Tensor = mean_loss(self._training, predicted, batch[:, self.n_inputs :])
         for layer in self._layers:
             for array in layer:
                 array.grad = None
@@ -86,23 +87,26 @@ class TorchDescent:
         return torch.addmm(last_bias, rows, last_weight)
 
 
-def mean_loss(training: Training, predicted: Tensor, targets: Tensor) -> Tensor:
-    """Return the mean loss over rows, as tasks.residual.training.mean_loss does, as a node of torch's graph.
+def mean_loss(training: Training, predicted: Any, targets: Any) -> Any:
+    """Return the mean loss over rows, of arrays of NumPy or as a node of torch's graph.
+
+    L_mse = ‖φ(o) - e‖² / 6, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
 
     Args:
         training: the loss and its parameters.
-        predicted: (n_rows, n_outputs) outputs.
-        targets: (n_rows, n_columns) targets, with the columns of :func:`tasks.residual.training.mean_loss`.
+        predicted: (n_rows, 6) predicted residuals φ(o), or (n_rows, 4) outputs.
+        targets: (n_rows, 6) true residuals e; 6 more columns weight their squared errors, where they are uncertain. Of
+            wetted networks, see :func:`tasks.residual.wetted.training_targets`.
     """
     predicted = lifted(predicted, targets)
     n = predicted.shape[1]
-    squared = (predicted - targets[:, :n]).square()
+    squared = (predicted - targets[:, :n]) ** 2
     weight = targets[:, n : 2 * n]
-    L_mse = (weight * squared if weight.shape[1] else squared).mean(dim=1)
+    L_mse = (weight * squared if weight.shape[1] else squared).mean(axis=1)
     if training.loss == "mse":
         return L_mse.mean()
-    fade = (-torch.expm1(-training.focal_s * L_mse)) ** training.focal_gamma
-    return training.focal_alpha * (fade * L_mse).mean()
+    expm1 = torch.expm1 if isinstance(L_mse, Tensor) else np.expm1
+    return training.focal_alpha * ((-expm1(-training.focal_s * L_mse)) ** training.focal_gamma * L_mse).mean()
 
 
 def weight_updates(parameters: Sequence[Tensor], weight_decay: float) -> Callable[[float], None]:

@@ -17,9 +17,9 @@ from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import Standardisation, initial_weights
 from tasks.residual.observation import NUMBERED, OBSERVATION, VELOCITIES
 from tasks.residual.throws import MeasuredTransitions, Transitions
-from tasks.residual.torch_descent import TorchDescent, n_cuda_devices
+from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
 from tasks.residual.validation import split_throws
-from tasks.residual.wetted import in_link_axes, in_world_axes, lifted, symmetric_copies, training_targets
+from tasks.residual.wetted import in_link_axes, in_world_axes, symmetric_copies, training_targets
 from tasks.seeding import generator
 
 _N_CURVE_POINTS = 100  # approximate number of points of a learning curve
@@ -64,28 +64,6 @@ def precision_weights(residual: Float32, residual_sd: Float32) -> Float32:
     floor = np.maximum(_FLOOR * residual.std(axis=0, dtype=np.float64), np.finfo(np.float32).tiny)
     weights: Float32 = (1 / (1 + np.square(residual_sd / floor))).astype(np.float32)
     return weights
-
-
-def mean_loss(training: Training, predicted: Float32, targets: Float32) -> float:
-    """Return the mean loss over rows.
-
-    L_mse = ‖φ(o) - e‖² / 6, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
-
-    Args:
-        training: the loss and its parameters.
-        predicted: (n_rows, 6) predicted residuals φ(o), or (n_rows, 4) outputs.
-        targets: (n_rows, 6) true residuals e; 6 more columns weight their squared errors, where they are uncertain. Of
-            wetted networks, see :func:`tasks.residual.wetted.training_targets`.
-    """
-    predicted = lifted(predicted.astype(np.float64), targets)
-    n = predicted.shape[1]
-    squared = np.square(predicted - targets[:, :n])
-    weight = targets[:, n : 2 * n]
-    L_mse = (weight * squared if weight.shape[1] else squared).mean(axis=1)
-    if training.loss == "mse":
-        return float(L_mse.mean())
-    fade = (-np.expm1(-training.focal_s * L_mse)) ** training.focal_gamma
-    return float(training.focal_alpha * (fade * L_mse).mean())
 
 
 def train_member(
@@ -167,8 +145,8 @@ def _learn(descent: Descent | TorchDescent, validation_set: Float32, training: T
         losses = descent.advance(min(every, training.n_iterations - first))
         done = first + len(losses)
         _check_finite(losses, "training", member, first + 1)
-        predicted = descent.predict(validation_set[:, :n_inputs])
-        validation_loss = mean_loss(training, predicted, validation_set[:, n_inputs:])
+        predicted = descent.predict(validation_set[:, :n_inputs]).astype(np.float64)
+        validation_loss = float(mean_loss(training, predicted, validation_set[:, n_inputs:]))
         _check_finite(np.array([validation_loss]), "validation", member, done)
         curve.append((done, float(losses.mean()), validation_loss))
     return np.array(curve)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-import tasks.residual.training
 from tasks.residual import Architecture, Training
 from tasks.residual.network import initial_weights
 from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
@@ -57,7 +56,7 @@ def test_focal_loss_by_hand():
         (mse, halved, (0.015 + 1.5) / 6),
     ):
         assert float(mean_loss(training, predicted, targets)) == pytest.approx(expected, rel=1e-6)
-        ours = tasks.residual.training.mean_loss(training, predicted.numpy(), targets.numpy())
+        ours = mean_loss(training, predicted.numpy(), targets.numpy())
         assert ours == pytest.approx(expected, rel=1e-6)
 
 

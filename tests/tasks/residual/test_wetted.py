@@ -8,7 +8,8 @@ from pydantic import ValidationError
 
 from tasks.residual import Architecture, DesignedThrows, MeasuredTransitions, Training, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble
-from tasks.residual.training import mean_loss, train_member
+from tasks.residual.torch_descent import mean_loss
+from tasks.residual.training import train_member
 from tasks.residual.validation import split_throws
 from tasks.residual.wetted import in_link_axes, in_world_axes, symmetric_copies, training_targets, wetted_inputs
 from tasks.world import LinkStates, Physics, Slush
