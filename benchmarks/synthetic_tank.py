@@ -1,5 +1,7 @@
 """A synthetic camera before a tank: `python -m benchmarks.synthetic_tank --out DIR` films throws into the true slush.
 
+`--noise 0.3` writes tracks in place of videos, with so much noise; docs/tank-sample.csv has 50 throws of that.
+
 The throws are those of the simulator at bench scale. Every pixel takes the colour of the tag, the bar or the water
 that its ray meets, averaged over the exposure; then come noise, eight bits and H.264. Lens distortion and perspective
 are those of rays. NumPy and OpenCV alone.
@@ -34,6 +36,8 @@ SCALE = 0.07  # bench metres per simulated metre
 _PER_MM = 6.0  # texels of a bar's picture per millimetre
 _N_INSTANTS = 8  # over which an exposure is averaged
 _COARSE = 16  # pixels of the grid on which the part of a picture that shows a bar is found
+_MASS = 0.098  # of a bar that is 25 mm thick [kg]
+_FINE = 16  # steps of the tank in one of the base simulator
 _BLANK = 0.15  # between two throws [s]
 _AIR, _WATER, _PAPER, _INK = 205.0, 165.0, 240.0, 25.0  # grey levels
 
@@ -203,9 +207,10 @@ def states_of(starts: Starts, seconds: float) -> tuple[Float32, Float64]:
     Returns:
         (n_throws, n_steps + 1, 6) simulated states and (n_steps + 1,) times at bench scale [s].
     """
-    step = Physics().time_step * froude_time(SCALE)
+    physics = Physics(time_step=Physics().time_step / _FINE)
+    step = physics.time_step * froude_time(SCALE)
     n_steps = int(np.ceil(seconds / step))
-    links, states = FreeLinks(starts.length_scale, Physics()), [starts.state]
+    links, states = FreeLinks(starts.length_scale, physics), [starts.state]
     for _ in range(n_steps):
         states.append(links.step(states[-1], Slush()))
     return np.stack(states, axis=1), step * np.arange(n_steps + 1)
@@ -294,6 +299,31 @@ def throws_for_bars(n: int, markers: Markers, rng: np.random.Generator) -> tuple
     return Starts(starts.throw, lengths[bars], starts.state), bars.tolist()
 
 
+def write_tracks(
+    out: Path, starts: Starts, *, seconds: float, rate: float, noise_mm: float, rng: np.random.Generator
+) -> None:
+    """Write tracks.csv and tracks-bars.csv: poses at frames with Gaussian noise, of angles as many degrees as mm."""
+    states, time = states_of(starts, seconds)
+    frames = np.arange(round(seconds * rate)) / rate
+    deviation = np.array((noise_mm / 1000, noise_mm / 1000, np.radians(noise_mm)))
+    bars = np.stack((starts.throw, starts.length_scale * SCALE, SCALE / starts.length_scale), axis=1)
+    tracks = []
+    for throw, path in zip(starts.throw, states.astype(np.float64), strict=True):
+        pose = np.column_stack([np.interp(frames, time, path[:, i]) for i in range(3)]) * (SCALE, SCALE, 1)
+        noisy = pose + deviation * rng.standard_normal(pose.shape)
+        tracks.append(np.column_stack((np.full(len(frames), throw), frames, noisy)))
+    for name, header, columns, formats in (
+        ("tracks", "throw,time,x,y,angle", np.concatenate(tracks), "%d,%.5f,%.5f,%.5f,%.4f"),
+        (
+            "tracks-bars",
+            "throw,length,width,mass",
+            np.column_stack((bars, np.full(len(bars), _MASS))),
+            "%d,%.4f,%.4f,%.3f",
+        ),
+    ):
+        np.savetxt(out / f"{name}.csv", columns, formats, header=header, comments="")
+
+
 def write_truth(path: Path, rows: Sequence[tuple[float, ...]]) -> None:
     """Write the truth as CSV."""
     with path.open("w", newline="") as file:
@@ -310,6 +340,7 @@ def main() -> None:
     options.add_argument("--seconds", type=float, default=0.5)
     options.add_argument("--rate", type=float, default=60.0)
     options.add_argument("--exposure", type=float, default=TankCamera.exposure)
+    options.add_argument("--noise", type=float, help="write tracks with so much noise [mm] in place of videos")
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -318,6 +349,9 @@ def main() -> None:
     camera = TankCamera(rate=given.rate, exposure=given.exposure)
     rng = generator(given.seed, "synthetic tank", given.rate)
     starts, bars = throws_for_bars(given.throws, markers, rng)
+    if given.noise is not None:
+        write_tracks(given.out, starts, seconds=given.seconds, rate=given.rate, noise_mm=given.noise, rng=rng)
+        return
     rows = render(given.out / "throws.mp4", TankScene(camera, markers, rng=rng), starts, bars, given.seconds)
     write_truth(given.out / "truth.csv", rows)
     film_board(given.out / "board.mp4", camera, markers, 12, rng)
