@@ -65,7 +65,7 @@ class TracksSpec:
 
     tracks: Tracks  # without the files' names
     physics: Physics
-    method: int = 3  # raised when other transitions are made of the same tracks
+    method: int = 4  # raised when other transitions are made of the same tracks
 
 
 def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
@@ -137,9 +137,8 @@ def throws_among(inputs: Inputs) -> list[Files]:
 def read_transitions(chunks: Sequence[Files]) -> Transitions:
     """Decode and join the chunks of a data set."""
     tables = [decode_table(chunk[TRANSITIONS], schema="transitions", version=1, source=TRANSITIONS) for chunk in chunks]
-    return Transitions.concatenate(
-        [MeasuredTransitions(**table) if "residual_sd" in table else Transitions(**table) for table in tables]
-    )
+    kind: type[Transitions] = MeasuredTransitions if "residual_sd" in tables[0] else Transitions
+    return kind.concatenate([kind(**table) for table in tables])
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
@@ -156,7 +155,8 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         transitions = read_transitions([{TRANSITIONS: store.read(part, TRANSITIONS)} for part in done.values()])
         if tracked := [part for part in done.values() if TRACK_REPORT in part.files]:
             found = decode_json(store.read(tracked[0], TRACK_REPORT), TRACK_REPORT)
-            lines += report_lines(found, settings, len(transitions))
+            n_further = int((transitions.throw < 0).sum())
+            lines += report_lines(found, settings, len(transitions) - n_further, n_further)
             metrics |= {"n_throws": float(found["n_throws"]), "n_transitions": float(len(transitions))}
             continue
         speed = np.hypot(transitions.state[:, 3], transitions.state[:, 4])

@@ -235,11 +235,15 @@ def _by_arm(evolved: Mapping[ChainId, Columns]) -> Curves:
 
 
 def _throws(inputs: Inputs) -> ThrowPaths | None:
-    """Arrange the transitions of the main throws as paths; steps that tracked throws lack are NaN."""
+    """Arrange the transitions of the main throws as paths; steps that tracked throws lack are NaN.
+
+    Throws with negative numbers were not filmed, but simulated in the medium that was fitted to the others.
+    """
     chunks = throws_among(inputs)
     if not chunks:
         return None
     table = read_transitions(chunks)
+    table = table[table.throw >= 0]
     throws, first, number = np.unique(table.throw, return_index=True, return_inverse=True)
     path = np.full((len(throws), int(table.step.max()) + 1, 3), np.nan)
     path[number, table.step] = table.state[:, :3]

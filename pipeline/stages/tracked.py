@@ -159,13 +159,14 @@ def _without_nan(value: Any) -> Any:
     return None if value != value else value
 
 
-def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: int) -> list[str]:
+def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: int, n_further: int) -> list[str]:
     """Say what tracks are like, in the units of the bench, and warn of effects that no network learns.
 
     Args:
         report: of the tracks, decoded.
         settings: the study's settings.
         n_transitions: number of transitions made of them.
+        n_further: number of transitions of throws in the medium that was fitted to them.
 
     Returns:
         Lines for the terminal.
@@ -180,7 +181,7 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
     rate = 1 / (report["frame_interval"] * time_scale_of(tracks))
     lines = [
         f"{report['n_throws']:,} tracked throws, {report['n_frames']:,} frames at {rate:.0f} a second, "
-        f"{n_transitions:,} transitions",
+        f"{n_transitions:,} transitions, and {n_further:,} of throws in the medium that was fitted to them",
         f"    noise, {of_noise}: x {noise_x * mm:.2g} mm, y {noise_y * mm:.2g} mm, angle "
         f"{math.degrees(noise_angle):.2g}°; a step's residual is known within (median) {sd_vx:.2g}, {sd_vy:.2g} m/s "
         f"and {sd_omega:.2g} rad/s of simulation",

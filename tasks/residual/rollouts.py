@@ -1,4 +1,4 @@
-"""A model of the medium that is fitted to whole paths of free bars, for cameras that are slower than what they film.
+"""The medium that is fitted to whole paths of free bars, for cameras that are slower than what they film.
 
 A spinning bar loses most of its spin between two frames, and no smoother that knows nothing of drag can tell how. So
 the medium is fitted by rollouts: from a start that is estimated too, the base simulator of a free link steps with the
@@ -12,45 +12,45 @@ model learns from what remains of the residuals r outside the span of their deri
 
     S = dr / d start = Q R,    loss = |r - Q Qᵀ r|²
 
-Between frames at which a spin dies out, stronger drag on a faster spin looks nearly the same. What decides is the
-model's form, which every fluid has in common: drag grows with the square of the speed relative to the fluid,
+The changes are those of wetted networks (see wetted.py), whose forces act on the part A_s and J of a link that is under
+water. Between frames at which a spin dies out, stronger drag on a faster spin looks nearly the same. What decides is a
+form that fluids have in common: drag grows with the square of the speed relative to the fluid,
 
-    dv/dt = -|u| D u + b,    u = v - flow,    dω/dt = -κ |ω| ω + b_ω
+    f_t = -D_t |u| u_t,    f_n = -D_n |u| u_n,    f_ω = -κ |ω| ω + b_ω,    u = v - flow
 
-with D = M Mᵀ (2, 2), κ, b (3) and flow (2) functions of the bar's length, height and angle, as small networks, and a
-network of the whole state beside them for what this misses. As D has no negative eigenvalue, drag only slows a bar
-down, and as inputs far from those of the throws count as less far, what networks add is bounded: no rollout, however
-long, grows beyond all bounds. Half a turn makes no difference to a bar.
+beside a buoyancy b = (b_x, b_y). All of D_t, D_n, κ > 0, b, b_ω and the flow are one small network's functions of the
+link's length, depth and angle and of the angle at which the fluid meets it. It begins as constants, and as drag only
+slows a bar down, no rollout, however long, grows beyond all bounds. Half a turn makes no difference to a bar.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from tasks.arrays import Bools, Float64
-from tasks.residual.throws import MeasuredTransitions
 from tasks.residual.torch_descent import deterministic, weight_updates
-from tasks.residual.training import TrainingDiverged, precision_weights
-from tasks.world import Physics
+from tasks.residual.training import TrainingDiverged
+from tasks.world import LinkStates, Physics, VelocityChange
+from tasks.world.slush import submerged_part
 
-_WIDTH = 32
+_WIDTH = 16
+_FIRST = 1.0, 1.0, 2.0, 0.0, 1.0, 0.0, 0.0  # log D_t, log D_n, log κ; b_x, b_y, b_ω over gravity; the flow [m/s]
 _SEED = 1
-_FIRST_BATCH, _FIRST_RATE = 512, 1e-2  # the fit to residuals of single steps
-_BATCH, _RATE = 192, 2e-3  # the fit to rollouts
-_FLAT, _DECAY = 0.6, 5e-3  # share of the iterations at the full rate, and the share of it at the end
+_BATCH, _RATE, _WARM_UP = 192, 2e-2, 20
 _WINDOW = 6  # intervals between frames in a rollout; the next one begins at the last but one of its frames
 _LONGEST = 1.5  # typical intervals between frames, on average, in a window
-_RELINEARISE = 100  # iterations between estimates of the starts
-_FLOOR = 0.1  # share of the residuals' deviation that poses need not resolve, as in precision_weights
-_LEAST = 1e-3  # deviation of an input or a residual that counts as a change [m, 1, m/s, rad/s]
+_RELINEARISE = 40  # iterations between estimates of the starts
+_LEAST_SD = 1e-3  # of a pose [m], [rad]: sharper ones are as good as exact
 _ROBUST = 10.0  # mean squared residual from which a window counts less
-_FARTHEST = 5.0  # deviations from the mean beyond which an input has no more effect
+_FARTHEST = 6.0  # height or depth beyond which it has no more effect [m]
 _STEP = 0.3  # of finite differences, in units of a start's uncertainty
 
 
@@ -68,21 +68,17 @@ class SeenPaths:
 
 
 class MediumModel(nn.Module):
-    """Velocity changes of a step: quadratic drag and buoyancy, with coefficients that networks predict."""
+    """Velocity changes of a step: quadratic drag and buoyancy on what is under water. A medium of the simulator."""
 
-    def __init__(self, transitions: MeasuredTransitions, time_step: float) -> None:
-        """Initialise from torch's current seed, with the scales of first estimates."""
+    def __init__(self, physics: Physics) -> None:
+        """Begin with constant coefficients; torch's current seed determines how they will vary."""
         super().__init__()
-        self._dt = time_step
-        inputs = _inputs(*_of_transitions(transitions))
-        self._mean, deviation = inputs.mean(dim=0), inputs.std(dim=0)
-        self._deviation = torch.where(deviation > _LEAST, deviation, 1.0)  # what never changes is not scaled up
-        scale = np.maximum(transitions.residual[:, 3:].astype(np.float64).std(axis=0), _LEAST)
-        self.residual_deviation = torch.from_numpy(scale)
-        self.coefficients = _network(4, 10)
-        self.rest = _network(7, 3)
-        for parameter in self.rest[-1].parameters():
-            nn.init.zeros_(parameter)
+        self._dt, self._gravity = physics.time_step, physics.gravity
+        last = nn.Linear(_WIDTH, len(_FIRST))
+        nn.init.zeros_(last.weight)
+        last.bias = nn.Parameter(torch.tensor(_FIRST))
+        hidden = nn.Linear(7, _WIDTH), nn.SiLU(), nn.Linear(_WIDTH, _WIDTH), nn.SiLU()
+        self.coefficients = nn.Sequential(*hidden, last).double()
 
     def forward(self, length_scale: Tensor, pose: Tensor, velocity: Tensor) -> Tensor:
         """Return the (n, 3) changes of vx, vy and ω in a step.
@@ -92,52 +88,52 @@ class MediumModel(nn.Module):
             pose: (n, 3) x, y [m], angle [rad].
             velocity: (n, 3) vx, vy [m/s], ω [rad/s].
         """
-        inputs = ((_inputs(length_scale, pose, velocity) - self._mean) / self._deviation).clamp(-_FARTHEST, _FARTHEST)
-        coefficients = self.coefficients(inputs[:, :4])
-        root, kappa, b = coefficients[:, :4].reshape(-1, 2, 2), 10 * coefficients[:, 4], 10 * coefficients[:, 5:8]
-        D = 10 * root @ root.transpose(1, 2)
-        u, omega = velocity[:, :2] - coefficients[:, 8:], velocity[:, 2]
-        # Implicit in the drag's mean k = tr D / 2: no eigenvalue exceeds 2 k, so that the speed never grows.
-        speed_dt = self._dt * (u.square().sum(dim=1, keepdim=True) + 1e-12).sqrt()
-        drag = torch.bmm(D, u[:, :, None])[:, :, 0]
-        mean_drag = (D[:, 0, :1] + D[:, 1, 1:]) / 2
-        lost = self._dt * nn.functional.softplus(kappa) * omega.abs()
-        by_drag = torch.cat(
-            [-drag * speed_dt / (1 + mean_drag * speed_dt), (-omega * lost / (1 + lost))[:, None]], dim=1
+        a, y, cos, sin = length_scale, pose[:, 1], pose[:, 2].cos(), pose[:, 2].sin()
+        A_s, I_s = cast("tuple[Tensor, Tensor]", submerged_part(*cast("Any", (a, y, cos, sin))))
+        J = 12 * I_s / (a * a + 1 / (a * a))
+        vx, vy, omega = velocity.unbind(dim=1)
+        along, across = cos * vy - sin * vx, cos * vx + sin * vy
+        square = along * along + across * across + 1e-6
+        twice_the_angle = cos * cos - sin * sin, 2 * cos * sin
+        twice_the_attack = (along * along - across * across) / square, 2 * along * across / square
+        depth = y.clamp(-_FARTHEST, _FARTHEST) / 2
+        inputs = torch.stack((a - 2, 2 * A_s - 1, depth, *twice_the_angle, *twice_the_attack), dim=1)
+        log_D_t, log_D_n, log_kappa, b_x, b_y, b_omega, flow = self.coefficients(inputs).unbind(dim=1)
+
+        # Implicit in the speed at the start of the step, as in after_drag: no speed grows, whatever the coefficients.
+        u_t, u_n = along + sin * flow, across - cos * flow
+        u_dt = self._dt * A_s * (u_t * u_t + u_n * u_n + 1e-12).sqrt()
+        k_t, k_n, k_omega = log_D_t.exp() * u_dt, log_D_n.exp() * u_dt, self._dt * J * log_kappa.exp() * omega.abs()
+        by_along, by_across = -u_t * k_t / (1 + k_t), -u_n * k_n / (1 + k_n)
+        fall = self._gravity * self._dt
+        return torch.stack(
+            (
+                cos * by_across - sin * by_along + fall * A_s * b_x,
+                sin * by_across + cos * by_along + fall * A_s * b_y,
+                -omega * k_omega / (1 + k_omega) + fall * J * b_omega,
+            ),
+            dim=1,
         )
-        change: Tensor = by_drag + self._dt * b + self.residual_deviation * self.rest(inputs)
-        return change
 
-
-def _network(n_in: int, n_out: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Linear(n_in, _WIDTH), nn.SiLU(), nn.Linear(_WIDTH, _WIDTH), nn.SiLU(), nn.Linear(_WIDTH, n_out)
-    ).double()
-
-
-def _inputs(length_scale: Tensor, pose: Tensor, velocity: Tensor) -> Tensor:
-    twice = 2 * pose[:, 2]
-    return torch.cat([torch.stack([length_scale, pose[:, 1], twice.cos(), twice.sin()], dim=1), velocity], dim=1)
-
-
-def _of_transitions(transitions: MeasuredTransitions) -> tuple[Tensor, Tensor, Tensor]:
-    state = torch.from_numpy(transitions.state.astype(np.float64))
-    return torch.from_numpy(transitions.length_scale.astype(np.float64)), state[:, :3], state[:, 3:]
+    @torch.no_grad()
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (that of the fit)
+        """Return the changes of (n,) links, in the precision of their states."""
+        columns = (links.length_scale, links.y, np.arctan2(links.sin, links.cos), links.vx, links.vy, links.omega)
+        a, y, *rest = (torch.from_numpy(column.astype(np.float64)) for column in columns)
+        change = self(a, torch.stack((torch.zeros_like(y), y, rest[0]), dim=1), torch.stack(rest[1:], dim=1))
+        return VelocityChange(*change.numpy().astype(links.y.dtype).T)
 
 
 class _Windows:
     """Frames that one rollout has to meet; axis 0 is the window, axis 1 its frames, padded to the most."""
 
-    def __init__(self, paths: SeenPaths, parts: Sequence[tuple[int, int, int]], model: MediumModel, dt: float) -> None:
+    def __init__(self, paths: SeenPaths, parts: Sequence[tuple[int, int, int]], dt: float) -> None:
         """Select frames: the throw, its first frame and their number for each window."""
         throw, first, number = (np.array(column, dtype=np.int64) for column in zip(*parts, strict=True))
         frame = first[:, None] + np.minimum(np.arange(number.max()), number[:, None] - 1)
         at = throw[:, None], frame
-        interval = np.diff(paths.time, axis=1)[paths.seen[:, 1:]]
-        steps_apart = max(float(np.median(interval)) / dt, 1.0)
-        # What a share of the residuals' deviation adds to a pose from one frame to the next is as good as exact.
-        floor = _FLOOR * model.residual_deviation.numpy() * dt * steps_apart**2 / 2
-        sd = np.hypot(paths.sd[at], floor)
+        interval = float(np.median(np.diff(paths.time, axis=1)[paths.seen[:, 1:]]))
+        sd = np.maximum(paths.sd[at], _LEAST_SD)
         self.dt = dt
         self.throw, self.first = throw, first
         self.length_scale = torch.from_numpy(paths.length_scale[throw])
@@ -148,7 +144,7 @@ class _Windows:
         self.range = torch.from_numpy(paths.velocity[paths.seen].std(axis=0) + 1e-6)  # prior deviation of a velocity
         self.velocity = velocity
         self.start = torch.cat([self.pose[:, 0], velocity], dim=1)  # (n, 6) poses and velocities, to be estimated
-        self.unit = torch.cat([self.sd[:, 0], self.sd[:, 0] / (steps_apart * dt)], dim=1)
+        self.unit = torch.cat([self.sd[:, 0], self.sd[:, 0] / interval], dim=1)
 
     def __len__(self) -> int:
         return len(self.throw)
@@ -217,73 +213,34 @@ def _at(path: Tensor, steps: Tensor) -> Tensor:
     return earlier + (steps - before)[:, :, None] * (later - earlier)
 
 
-def fit_medium(
-    paths: SeenPaths,
-    transitions: MeasuredTransitions,
-    physics: Physics,
-    *,
-    n_first_iterations: int = 3000,
-    n_iterations: int = 1500,
-) -> MediumModel:
-    """Fit a model of the medium to the frames of throws.
+def fit_medium(paths: SeenPaths, physics: Physics, *, n_iterations: int = 200) -> MediumModel:
+    """Fit a model of the medium to the frames of throws, on one CPU thread; a second run gives the same.
 
     Args:
         paths: the throws.
-        transitions: their residuals, as a smoother estimates them, for a first fit.
         physics: constants of the base simulator.
-        n_first_iterations: iterations of the first fit, to single steps.
-        n_iterations: iterations of the fit to rollouts.
-
-    Returns:
-        The model, on one CPU thread; a second run gives the same.
+        n_iterations: steps of AdamW.
     """
     with torch.random.fork_rng(devices=[]), deterministic(torch.device("cpu")):
         torch.manual_seed(_SEED)
-        model = MediumModel(transitions, physics.time_step)
-        _fit_steps(model, transitions, n_first_iterations)
-        windows = _Windows(paths, _parts(paths), model, physics.time_step)
-        _fit_rollouts(model, windows, physics.gravity, n_iterations)
+        model = MediumModel(physics)
+        windows = _Windows(paths, _parts(paths), physics.time_step)
+        parameters = list(model.parameters())
+        update = weight_updates(parameters, weight_decay=0.01)
+        Q = windows.estimate_starts(model, physics.gravity, n_sweeps=5)
+        for iteration in range(n_iterations):
+            if iteration and iteration % _RELINEARISE == 0:
+                Q = windows.estimate_starts(model, physics.gravity, n_sweeps=2)
+            rows = torch.randperm(len(windows))[:_BATCH]
+            r = windows.residuals(model, physics.gravity, rows, windows.start[rows])[:, :, None]
+            squared = (r - Q[rows] @ (Q[rows].transpose(1, 2) @ r)).square().mean(dim=(1, 2))
+            for parameter in parameters:
+                parameter.grad = None
+            (_ROBUST * torch.log1p(squared / _ROBUST)).mean().backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(parameters, 1.0)
+            warm_up = min((iteration + 1) / _WARM_UP, 1.0)
+            update(warm_up * _RATE * (1 + math.cos(math.pi * iteration / n_iterations)) / 2)
     return model
-
-
-def _fit_steps(model: MediumModel, transitions: MeasuredTransitions, n_iterations: int) -> None:
-    weights = torch.from_numpy(precision_weights(transitions.residual, transitions.residual_sd)[:, 3:])
-    residual = torch.from_numpy(transitions.residual[:, 3:])
-    inputs = _of_transitions(transitions)
-    parameters = list(model.parameters())
-    update = weight_updates(parameters, weight_decay=0.01)
-    for iteration in range(n_iterations):
-        rows = torch.randint(len(residual), (_FIRST_BATCH,))
-        predicted = model(*(values[rows] for values in inputs))
-        loss = (weights[rows] * ((predicted - residual[rows]) / model.residual_deviation).square()).mean()
-        _descend(loss, parameters)
-        update(_FIRST_RATE * 0.01 ** (iteration / n_iterations))
-
-
-def _fit_rollouts(model: MediumModel, windows: _Windows, gravity: float, n_iterations: int) -> None:
-    parameters = list(model.parameters())
-    update = weight_updates(parameters, weight_decay=0.01)
-    Q = windows.estimate_starts(model, gravity, n_sweeps=5)
-    shuffled = torch.randperm(len(windows))
-    for iteration in range(n_iterations):
-        if iteration and iteration % _RELINEARISE == 0:
-            Q = windows.estimate_starts(model, gravity, n_sweeps=2)
-        if len(shuffled) < min(_BATCH, len(windows)):
-            shuffled = torch.randperm(len(windows))
-        rows, shuffled = shuffled[:_BATCH], shuffled[_BATCH:]
-        r = windows.residuals(model, gravity, rows, windows.start[rows])[:, :, None]
-        squared = (r - Q[rows] @ (Q[rows].transpose(1, 2) @ r)).square().mean(dim=(1, 2))
-        _descend((_ROBUST * torch.log1p(squared / _ROBUST)).mean(), parameters)
-        nn.utils.clip_grad_norm_(parameters, 1.0)
-        done = iteration / n_iterations
-        warm_up = min((iteration + 1) / 50, 1.0)
-        update(warm_up * _RATE * _DECAY ** max((done - _FLAT) / (1 - _FLAT), 0.0))
-
-
-def _descend(loss: Tensor, parameters: Sequence[Tensor]) -> None:
-    for parameter in parameters:
-        parameter.grad = None
-    loss.backward()  # type: ignore[no-untyped-call]
 
 
 def _sections(paths: SeenPaths) -> list[tuple[int, int, int]]:
@@ -326,7 +283,7 @@ def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physic
     sections = _sections(paths)
     dt = physics.time_step
     with deterministic(torch.device("cpu")):
-        windows = _Windows(paths, sections, model, dt)
+        windows = _Windows(paths, sections, dt)
         windows.estimate_starts(model, physics.gravity, n_sweeps=15)
         since = paths.time[windows.throw, windows.first][:, None]
         at_frames, at_times = (

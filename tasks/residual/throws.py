@@ -138,11 +138,11 @@ class Transitions:
         """Select transitions by a mask."""
         return type(self)(**{name: column[rows] for name, column in self.columns().items()})
 
-    @staticmethod
-    def concatenate(chunks: Sequence[Transitions]) -> Transitions:
+    @classmethod
+    def concatenate(cls, chunks: Sequence[Self]) -> Self:
         """Concatenate chunks in the given order."""
         columns = [chunk.columns() for chunk in chunks]
-        return type(chunks[0])(**{name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
+        return cls(**{name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
 
 
 @dataclass(frozen=True, eq=False)

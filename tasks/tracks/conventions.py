@@ -37,6 +37,6 @@ class Tracks(Parameters):
     """Whether angles grow clockwise. A mirrored view flips x and the angle; an image whose y grows downward, y and the
     angle."""
     fit: Literal["rollouts", "steps"] = "rollouts"
-    """How residuals are found: "rollouts" fits a model of the medium to the poses at several frames, and smooths what
-    it leaves; "steps" smooths the poses alone, which takes seconds instead of a minute, and underestimates what dies
-    out between two frames."""
+    """How residuals are found: "rollouts" fits a model of the medium to the poses at several frames, smooths what it
+    leaves, and adds throws in the model; "steps" smooths the poses alone, and underestimates what dies out between two
+    frames."""

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.arrays import Bools, Float64
-from tasks.residual import MeasuredTransitions, observe
+from tasks.residual import MeasuredTransitions, observe, robot_ranges, simulate_throws
+from tasks.residual.throws import Starts, even_starts
+from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
 from tasks.tracks.bars import Bars, TrackedBarError, length_scales
 from tasks.tracks.conventions import Tracks
@@ -15,8 +17,9 @@ from tasks.tracks.free_fall import Fall, check_falls
 from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, length_scale_of, paths_of
 from tasks.tracks.tank_contacts import Contacts, contacts, n_contacts, slowest_contact
-from tasks.world import Physics
+from tasks.world import Medium, Physics
 
+_N_FURTHER = 256  # throws in the fitted medium
 _LONGEST_GAP = 4.0  # typical intervals between a throw's frames; steps in a longer gap are left out
 
 
@@ -73,12 +76,13 @@ def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics
 
 
 def residual_transitions(
-    table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics, *, n_iterations: int = 1500
+    table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics, *, n_iterations: int = 200
 ) -> tuple[MeasuredTransitions, TrackReport]:
     """Smooth tracked throws, and compare each step of the simulator's clock with the base simulator's.
 
     E(x) is the smoothed velocity one step later, E'(x) the base simulator's step from the smoothed state; positions
-    follow by integration, as in the simulation.
+    follow by integration, as in the simulation. A fit to rollouts adds throws in the fitted medium, whose numbers are
+    negative.
 
     Args:
         table: the tracks.
@@ -96,10 +100,13 @@ def residual_transitions(
     first = _estimate(table, bars, tracks, physics)
     paths, turned, smoothed, transitions = first.paths, first.contacts, first.smoothed, first.transitions
     interval = _typical_interval(paths)
+    medium: Medium | None = None
     if tracks.fit == "rollouts":
-        smoothed, in_range = _rolled_out(first, physics, n_iterations)
+        medium, smoothed, in_range = _rolled_out(first, physics, n_iterations)
         transitions = _transitions(paths, first.long_axes, smoothed, physics, first.usable & in_range)
     typical = np.median(transitions.residual_sd[:, 3:], axis=0)
+    if medium is not None:
+        transitions = MeasuredTransitions.concatenate([transitions, _thrown_further(medium, transitions, physics)])
     report = TrackReport(
         n_throws=len(paths.throw),
         n_frames=int(paths.seen.sum()),
@@ -166,11 +173,11 @@ def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
     return [smooth(Measured(paths.time, pose[..., axis], paths.seen, sds[axis]), time) for axis in range(3)]
 
 
-def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[list[Smoothed], Bools]:
+def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[Medium, list[Smoothed], Bools]:
     """Fit a model of the medium, roll the throws out, and smooth by how much the poses seen differ from them.
 
-    Returns the states, and which of the (n_throws, n_steps) steps begin no faster than smoothed poses ever do: how fast
-    a bar was before its first frame, drag soon hides.
+    Returns the model, the states, and which of the (n_throws, n_steps) steps begin no faster than smoothed poses ever
+    do: how fast a bar was before its first frame, drag soon hides.
     """
     from tasks.residual.rollouts import SeenPaths, fit_medium, follow  # imports torch
 
@@ -189,7 +196,7 @@ def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[
         begins=begins & paths.seen,
         length_scale=first.long_axes,
     )
-    model = fit_medium(seen, first.transitions, physics, n_iterations=n_iterations)
+    model = fit_medium(seen, physics, n_iterations=n_iterations)
     seen_pose, pose, velocity = follow(model, seen, first.time, physics)
     smoothed = _smoothed(paths, paths.pose - seen_pose, first.time)
     for axis, coordinate in enumerate(smoothed):
@@ -197,7 +204,23 @@ def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[
         coordinate.mean[..., 1] += velocity[..., axis]
     fastest = np.abs(first.transitions.state[:, 3:]).max(axis=0)
     found = np.stack([coordinate.mean[:, :-1, 1] for coordinate in smoothed], axis=-1)
-    return smoothed, (np.abs(found) <= fastest).all(axis=-1)
+    return model, smoothed, (np.abs(found) <= fastest).all(axis=-1)
+
+
+def _thrown_further(medium: Medium, tracked: MeasuredTransitions, physics: Physics) -> MeasuredTransitions:
+    """Simulate throws in the fitted medium, evenly over the states of robots, where few bars were thrown.
+
+    Their residuals are as uncertain as the medium is wrong about those of the tracked throws.
+    """
+    from tasks.residual.training import precision_weights  # imports torch
+
+    starts = even_starts(_N_FURTHER, physics, generator(0, "throws in the fitted medium"))
+    starts = Starts(-1 - starts.throw, starts.length_scale, starts.state)
+    further = simulate_throws(starts, robot_ranges(physics).n_steps, medium, physics)
+    wrong_by = FreeLinks(tracked.length_scale, physics).step(tracked.state, medium) - tracked.next_in_slush
+    weights = precision_weights(tracked.residual, tracked.residual_sd)
+    sd = np.sqrt(np.average(np.square(wrong_by), axis=0, weights=weights)).astype(np.float32)
+    return MeasuredTransitions(**further.columns(), residual_sd=np.tile(sd, (len(further), 1)))
 
 
 def _typical_interval(paths: Paths) -> float:

@@ -50,13 +50,13 @@ def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) ->
     width = 1 / length_scale
     half_rise_short = abs(sin) * width / 2  # u
     half_rise_long = abs(cos) * length_scale / 2  # v
-    per_short = 0.5 / np.maximum(half_rise_short, TINY)
-    per_long = 0.5 / np.maximum(half_rise_long, TINY)
+    per_short = 0.5 / half_rise_short.clip(TINY)
+    per_long = 0.5 / half_rise_long.clip(TINY)
     depth = half_rise_short + half_rise_long - y  # D
-    t1 = np.clip(depth * per_short, 0, 1)
-    t2 = np.clip(depth * per_long, 0, 1)
-    t3 = np.clip((depth - 2 * half_rise_short) * per_long, 0, 1)
-    t4 = np.clip((depth - 2 * half_rise_long) * per_short, 0, 1)
+    t1 = (depth * per_short).clip(0, 1)
+    t2 = (depth * per_long).clip(0, 1)
+    t3 = ((depth - 2 * half_rise_short) * per_long).clip(0, 1)
+    t4 = ((depth - 2 * half_rise_long) * per_short).clip(0, 1)
     area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / 2
 
     # ∫P² dA = ∮ P³/3 dQ with P along the short axis and Q along the long one, both from the centre; and the reverse.
@@ -64,7 +64,7 @@ def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) ->
     q3, q2 = 2 * t3 - 1, 2 * t2 - 1
     across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / 4)
     along = length_scale * length_scale * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / 4)
-    second_moment = np.maximum((across + along) / 24, 0)
+    second_moment = ((across + along) / 24).clip(0)
     return area, second_moment
 
 
