@@ -99,8 +99,8 @@ def test_mistakes(made, tmp_path, capsys):
         (("--study", "raft", "--preset", "laptop", *out), "--preset"),
         ((design, *out, "--set", "kit.servo=ds9999"), "ds3225"),
         ((design, "--set", "kit.servos=1"), "kit.servos: unknown setting"),
-        ((design, "--out", str(tmp_path / "thesis")), "thesis.tex"),
-        ((design, "--out", str(tmp_path / "none" / "kit")), "does not exist"),
+        ((design, "--out", str(tmp_path / "thesis")), "thesis: expected a new folder or a kit"),
+        ((design, "--out", str(tmp_path / "none" / "kit")), "kit: expected a new folder or a kit"),
     ):
         assert call("fabricate", *arguments) == 2
         assert said in capsys.readouterr().err
