@@ -22,7 +22,8 @@ from pipeline.report.render import as_markdown
 from tasks.analysis import paper
 from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
 from tasks.analysis.registry import column
-from tasks.world import ENVIRONMENTS
+from tasks.residual import ensemble_of_data_set
+from tasks.world import environment_kind
 
 ROOT = Path(__file__).resolve().parents[1]
 SECTION = re.compile(r"<!-- table (\w+) of (\S+) -->\n.*?<!-- end -->", re.S)
@@ -90,12 +91,11 @@ class Accuracy:
 
 def accuracy(results: Results) -> Iterable[Accuracy]:
     """Tabulate the prediction accuracy of ensembles."""
-    ensembles = {kind.learns_from: name for name, kind in ENVIRONMENTS.items() if kind.networks == "all"}
     predictors: Mapping[str, str] = {"mean": "μ", "mean - 1 sd": "μ − σ"}
     figures: tuple[Literal["r"], Literal["slope"]] = ("r", "slope")
     for row in results["accuracy"]:
         papers = (paper.AGGREGATES[row["name"], figure][0] for figure in figures)
-        ensemble, predictor = _label(ensembles[row["learned_from"]]), predictors[row["name"]]
+        ensemble, predictor = _label(ensemble_of_data_set(row["learned_from"])), predictors[row["name"]]
         yield Accuracy(ensemble, predictor, row["r"], row["slope"], *papers)
 
 
@@ -242,7 +242,7 @@ TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
 
 
 def _label(environment: str) -> str:
-    kind = ENVIRONMENTS[environment]
+    kind = environment_kind(environment)
     return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
 
 
@@ -255,7 +255,7 @@ def _share(study: Results, environment: str, score: str) -> Estimate:
 def _sample(study: Results, environment: str, score: str) -> Sample:
     """Return the champions of an arm at 9 m; those that learned from the same data set belong together."""
     rows = [one for one in study["champions"] if (one["environment"], one["depth"]) == (environment, paper.DEPTH)]
-    n = study["n_replicates"] if ENVIRONMENTS[environment].networks != "none" else 1
+    n = study["n_replicates"] if environment_kind(environment).learned else 1
     return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n for row in rows]))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.commands.options import SettingsOptions, output_suffix
-from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, Settings
+from pipeline.config.settings import DEEPEST, Settings
 from pipeline.errors import PuddleError
 from pipeline.report.films import render_gif, render_mp4
 from pipeline.report.page import render_robot
@@ -24,8 +24,9 @@ from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import Execution, Files, MissingInputs
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
+from tasks.residual import ensemble_of_data_set
 from tasks.simulation import OK, Rollouts
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName
+from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, environment_kind
 
 _RENDERERS = {".gif": render_gif, ".mp4": render_mp4}
 _PAGE = ".html"
@@ -46,10 +47,11 @@ def simulate_design(
 
     In an ensemble the median member is shown.
     """
-    settings, design, name = options.settings(), read_design(path), _checked(environment, depth)
+    settings, design = options.settings(), read_design(path)
+    name = _checked(settings, environment, depth)
     kind = "" if out is None else output_suffix(out, (*_RENDERERS, _PAGE))
     networks: _Networks = {}
-    if name in RESIDUAL_ENVIRONMENTS:
+    if environment_kind(name).learned:
         networks = _required_networks(options, settings, name)
     elif kind == _PAGE:
         networks = _optional_networks(options, settings)
@@ -57,7 +59,7 @@ def simulate_design(
     at, rollouts = _rolled_out(settings, design, name, depth, ensemble, trace=out is not None)
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is no displacement.")
-    label, n_steps = ENVIRONMENTS[name].label, settings.rollout.n_measure
+    label, n_steps = environment_kind(name).label, settings.rollout.n_measure
     lines = [f"{label}, {depth:g} m deep, {n_steps * settings.physics.time_step:.0f} s:"]
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, centre of mass {whole:+.3f} m")
@@ -99,27 +101,27 @@ def _rolled_out(
 ) -> tuple[Environment, Rollouts]:
     """Simulate a design in an environment."""
     simulation = environments.simulation_spec(settings, name)
-    at = ENVIRONMENTS[name].environment(depth, simulation.media, ensemble)
+    at = environment_kind(name).environment(depth, simulation.media, ensemble)
     return at, environments.roll_out(simulation, Execution(settings.work.engine), at, design, trace=trace)
 
 
 def _other(name: EnvironmentName, networks: _Networks) -> EnvironmentName | None:
     """Return the environment to show beside one: the networks' for True Slush, True Slush for a network's."""
     if name == "true_slush":
-        group = next(iter(networks)).data_set.group
-        return next(n for n, kind in ENVIRONMENTS.items() if kind.networks == "all" and kind.learns_from == group)
-    return "true_slush" if name in RESIDUAL_ENVIRONMENTS else None
+        return ensemble_of_data_set(next(iter(networks)).data_set.group)
+    return "true_slush" if environment_kind(name).learned else None
 
 
 def score_designs(
     path: Path, environment: str, depth: float, out: Path | None, options: SettingsOptions
 ) -> Iterator[str]:
     """Score the designs of a table; yield lines that summarise the scores."""
-    settings, name = options.settings(), _checked(environment, depth)
+    settings = options.settings()
+    name = _checked(settings, environment, depth)
     if out is not None:
         output_suffix(out, (".parquet", ".csv"))
     designs = read_designs(path)
-    networks = _required_networks(options, settings, name) if name in RESIDUAL_ENVIRONMENTS else {}
+    networks = _required_networks(options, settings, name) if environment_kind(name).learned else {}
     simulation = environments.simulation_spec(settings, name)
     at = environments.build_environment(simulation.media, name, depth, networks)
     execution, fitness = Execution(settings.work.engine), environments.fitness_spec(settings, name)
@@ -136,7 +138,7 @@ def score_designs(
         )
     table = {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
     table = {"design": np.arange(len(designs)), **table}
-    label, n_diverged = ENVIRONMENTS[name].label, int(table["diverged"].sum())
+    label, n_diverged = environment_kind(name).label, int(table["diverged"].sum())
     yield f"{label}, {depth:g} m deep: {len(designs)} design{'s' * (len(designs) != 1)}, {n_diverged} diverged"
     objective = OBJECTIVES[settings.evolution.objective]
     finite = table["fitness"][~table["diverged"]]
@@ -154,14 +156,15 @@ def score_designs(
         yield f"  scores in {out}"
 
 
-def _checked(environment: str, depth: float) -> EnvironmentName:
+def _checked(settings: Settings, environment: str, depth: float) -> EnvironmentName:
     """Return the name of an environment; refuse an unknown one, and a depth outside of the allowed range."""
-    names: dict[str, EnvironmentName] = {name: name for name, kind in ENVIRONMENTS.items() if kind.networks != "one"}
+    known = {name: settings.learner(name) for name in (*ENVIRONMENTS, *settings.learners)}
+    names = [name for name, learner in known.items() if learner is None or not learner.is_single]
     if environment not in names:
         raise PuddleError(f"--environment: expected one of {', '.join(names)}, got {environment!r}")
     if not 0.0 <= depth <= DEEPEST:
         raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
-    return names[environment]
+    return environment
 
 
 # -- networks --------------------------------------------------------------------------------------------------------
@@ -169,7 +172,8 @@ def _checked(environment: str, depth: float) -> EnvironmentName:
 
 def _required_networks(options: SettingsOptions, settings: Settings, environment: EnvironmentName) -> _Networks:
     """Return every member of an environment's ensemble; of several replicates, that of the first."""
-    data_set = DataSetId(ENVIRONMENTS[environment].learns_from, 0)
+    learner = settings.learner(environment)
+    data_set = DataSetId(learner.data_set if learner else "", 0)
     if data_set not in data_sets(settings):
         raise PuddleError(
             f"study {settings.name} trains no networks for {environment}: expected it in grid.environments. Choose the "

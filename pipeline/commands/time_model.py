@@ -15,12 +15,14 @@ from typing import Any, NamedTuple
 from pipeline.config.settings import Settings
 from pipeline.kernels import seconds_to_compile
 from pipeline.stages import STAGES, environments
+from pipeline.stages.assess import AssessmentId
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import AnyStage, Chain, Upstream
-from tasks.world import ENVIRONMENTS, EnvironmentName
+from tasks.residual import Architecture, Training, ensemble_of_data_set
+from tasks.world import EnvironmentName
 
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
 _LINKS = 6
@@ -106,8 +108,9 @@ def expected_seconds(settings: Settings, n_cores: float, store: Store | None = N
 
 def training_gpu_seconds(settings: Settings, tflops: float) -> float:
     """Return the time in which a GPU trains all networks of a study at a rate [TFLOP/s]: [s]."""
-    n_networks = sum(stage.name == "train" for stage in STAGES for _ in stage.plan(settings))
-    return n_networks * settings.training.n_iterations * _flops_of_iteration(settings) / (tflops * 1e12)
+    specs = [chain.spec for stage in STAGES if stage.name == "train" for chain in stage.plan(settings)]
+    flops = (spec.training.n_iterations * _flops_of_iteration(spec.network, spec.training) for spec in specs)
+    return float(sum(flops)) / (tflops * 1e12)
 
 
 def _kind(stage: AnyStage, chain: Chain[Any]) -> _Kind:
@@ -126,7 +129,7 @@ def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Ma
         sources.add("store" if measured else "table")
         size = sum(units) * chain.weight
         seconds = size * measured.seconds if measured else _expected(stage, settings, chain, units)
-        n_bytes += size * measured.n_bytes if measured else _expected_bytes(stage, settings, units)
+        n_bytes += size * measured.n_bytes if measured else _expected_bytes(stage, settings, chain, units)
         n_units, total = n_units + sum(units), total + seconds
         longest = max(longest, seconds / _workers_per_generation(settings, chain))
     return StageForecast(stage.name, stage.unit, n_units, total, longest, n_bytes, " and ".join(sorted(sources)))
@@ -166,9 +169,9 @@ def _expected(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tup
     return len(units) * fixed + sum(units) * (per_unit(settings, chain) if per_unit else 1.0)
 
 
-def _expected_bytes(stage: AnyStage, settings: Settings, units: tuple[float, ...]) -> float:
+def _expected_bytes(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
     if stage.name == "train":
-        return len(units) * (4.0 * settings.network.n_weights + 20e3)
+        return len(units) * (4.0 * float(chain.spec.network.n_weights) + 20e3)
     per_item, per_unit = _BYTES.get(stage.unit, (1e4, _BYTES_PER_DESIGN * settings.evolution.afpo.population_size))
     return per_item * len(units) + per_unit * sum(units)
 
@@ -180,14 +183,16 @@ def _rollout(settings: Settings, environment: EnvironmentName) -> float:
     engine: str = settings.work.engine
     if engine == "batch" and (settings.physics.link_collisions or settings.physics.passive_joints == "locked"):
         engine = "rigid"
-    if ENVIRONMENTS[environment].networks == "none":
+    learner = settings.learner(environment)
+    if learner is None:
         return n_steps * n_members * _SECONDS_PER_STEP[engine]
     physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
-    return n_steps * n_members * (physics + _LINKS * environments.network_flops(settings) / _FLOPS_OF_INFERENCE)
+    flops = environments.network_flops(learner.network)
+    return n_steps * n_members * (physics + _LINKS * flops / _FLOPS_OF_INFERENCE)
 
 
-def _flops_of_iteration(settings: Settings) -> float:
-    return _PASSES_OF_TRAINING * settings.training.batch_size * environments.network_flops(settings)
+def _flops_of_iteration(network: Architecture, training: Training) -> float:
+    return _PASSES_OF_TRAINING * training.batch_size * environments.network_flops(network)
 
 
 def _generation(settings: Settings, environment: EnvironmentName) -> float:
@@ -195,16 +200,22 @@ def _generation(settings: Settings, environment: EnvironmentName) -> float:
     return settings.evolution.afpo.population_size * _rollout(settings, environment)
 
 
+def _ensemble_of(chain: Chain[Any]) -> EnvironmentName:
+    assert isinstance(chain.identity, AssessmentId)
+    return ensemble_of_data_set(chain.identity.data_set.group)
+
+
 _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
     "collect": lambda settings, chain: (
         (getattr(chain.spec, "throws", settings.throws).n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
     ),
     "train": lambda settings, chain: (
-        _SECONDS_PER_ITERATION + _flops_of_iteration(settings) / _FLOPS_OF_TRAINING[settings.training.device]
+        _SECONDS_PER_ITERATION
+        + _flops_of_iteration(chain.spec.network, chain.spec.training) / _FLOPS_OF_TRAINING[chain.spec.training.device]
     ),
     "evolve": lambda settings, chain: _generation(settings, chain.spec.environment),
     "transfer": lambda settings, chain: _generation(settings, chain.spec.environment),
-    "assess": lambda settings, chain: _rollout(settings, "true_slush") + _rollout(settings, "residual_slush"),
+    "assess": lambda settings, chain: _rollout(settings, "true_slush") + _rollout(settings, _ensemble_of(chain)),
     "analyse": lambda settings, chain: chain.weight * _rollout(settings, "dry_land"),
     "report": lambda settings, chain: _SECONDS_PER_PICTURE,
 }

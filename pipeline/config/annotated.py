@@ -7,6 +7,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from pydantic_core import to_jsonable_python
 
 from pipeline.config.settings import Settings
 
@@ -62,6 +63,6 @@ def _wrapped(line: str, indent: str) -> list[str]:
 
 def _value(value: object) -> str:
     """Write a value as JSON, which is also YAML; a plain word needs no quotes."""
-    written = json.dumps(value, ensure_ascii=False)
+    written = json.dumps(to_jsonable_python(value), ensure_ascii=False)
     is_word = isinstance(value, str) and value.replace("_", "").isalpha() and value not in ("true", "false", "null")
     return str(value) if is_word else written

@@ -5,26 +5,22 @@ scientific parameters are declared beside the equations that use them, in tasks/
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Field, ValidationError, create_model, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Afpo, Deviation, ObjectiveName
 from tasks.parameters import Parameters, later_choice
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
+from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
 from tasks.tracks.conventions import Tracks
-from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
+from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush, in_order
 from tasks.world.registry import settings_groups
 
-SINGLE_MEMBERS: Mapping[EnvironmentName, EnvironmentName] = {
-    "single_member": "residual_slush",
-    "designed_single_member": "designed_throws",
-}
-"""Environments of one network, which grid.single_member_depths adds, and of the ensemble beside it."""
-
-RESIDUAL_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "none")
+LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 DEEPEST = 1000.0  # greatest depth of the ground [m]
 
 Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
@@ -55,7 +51,7 @@ class GridSettings(Parameters):
     environments: tuple[EnvironmentName, ...] = Field(
         default=("true_slush", "dry_land", "residual_slush"), min_length=1
     )
-    """Environments in which designs evolve, at every depth. [P]"""
+    """Environments in which designs evolve, at every depth: media, and learners, the study's own among them. [P]"""
     single_member_depths: tuple[Depth, ...] = (9.0,)
     """Depths at which designs also evolve in a single network, every trial in its own. Where there are more trials than
     members, more networks are trained. [P]"""
@@ -78,9 +74,10 @@ class GridSettings(Parameters):
     def trials(self) -> list[tuple[EnvironmentName, float, int]]:
         """List the environment, depth [m] and number of every trial."""
         arms = [(environment, depth) for depth in self.depths for environment in self.environments]
-        for single, beside in SINGLE_MEMBERS.items():
-            if single not in self.environments and (beside in self.environments or single == "single_member"):
-                arms += [(single, depth) for depth in self.single_member_depths if depth in self.depths]
+        for name, learner in BUILT_IN.items():
+            beside = learner.single in self.environments or name == PAPERS_SINGLE
+            if learner.single is not None and beside and name not in self.environments:
+                arms += [(name, depth) for depth in self.single_member_depths if depth in self.depths]
         return [(environment, depth, trial) for environment, depth in arms for trial in range(self.n_trials)]
 
 
@@ -138,7 +135,8 @@ class TransferSettings(Parameters):
     """Tests of champions in True Slush."""
 
     adapted_environments: tuple[EnvironmentName, ...] = tuple(ENVIRONMENTS)
-    """Environments whose champions' controllers are evolved again from scratch in True Slush, with frozen bodies."""
+    """Environments whose champions' controllers are evolved again from scratch in True Slush, with frozen bodies. The
+    default is all, and the study's own learners."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each adaptation. [P]"""
 
@@ -208,6 +206,8 @@ class Settings(Parameters):
     """Training of the networks."""
     ensemble: EnsembleSettings = EnsembleSettings()
     """The ensemble of networks."""
+    learners: Mapping[LearnerName, LearnerSettings] = later_choice({})
+    """Further learners by name, for grid.environments: each states what differs from the groups above."""
     grid: GridSettings = GridSettings()
     """The trials."""
     rollout: RolloutSettings = RolloutSettings()
@@ -243,6 +243,7 @@ class Settings(Parameters):
                 f"have no trial: expected at least as many trials as replicates"
             )
         self._check_objective()
+        self._check_learners()
         self._check_tracks()
         if self.tank is not None and self.rollout.n_settle < 1:
             raise ValueError(
@@ -261,11 +262,42 @@ class Settings(Parameters):
             )
         if self.designed_throws.source == "tracks":
             raise ValueError("designed_throws.source is tracks, but only throws can be tracked: expected simulation")
+        for name in self.learners:
+            if (learner := self.learner(name)) and learner.throws.source == "tracks" and not from_tracks:
+                raise ValueError(f"learners.{name}.throws.source is tracks, but throws.source is not: expected both")
         if from_tracks and self.replicates > 1:
             raise ValueError(
                 f"replicates is {self.replicates} and throws.source is tracks, but there is one set of tracked throws: "
                 f"expected 1"
             )
+
+    def _check_learners(self) -> None:
+        """Refuse learners that contradict the study's groups, and arms of neither a medium nor a learner."""
+        for name, given in self.learners.items():
+            if name in (*ENVIRONMENTS, *THROWS_GROUPS.values()):
+                raise ValueError(f"learners.{name}: the name is taken: expected one of its own, got {name!r}")
+            ensembles = [one for one, other in {**BUILT_IN, **self.learners}.items() if other.single is None]
+            if given.single is not None and given.single not in ensembles:
+                raise ValueError(
+                    f"learners.{name}.single: expected a learner with an ensemble, one of {', '.join(ensembles)}, got "
+                    f"{given.single!r}"
+                )
+            if given.single is not None and len(stated(given)) > 1:
+                raise ValueError(
+                    f"learners.{name} states single, and so has the networks of {given.single}: expected nothing else, "
+                    f"got {', '.join(one for one in stated(given) if one != 'single')}"
+                )
+            try:
+                self.learner(name)
+            except ValidationError as error:
+                said = error.errors()[0]["msg"].removeprefix("Value error, ")
+                raise ValueError(f"learners.{name}, with the study's groups: {said}") from None
+        known = (*ENVIRONMENTS, *self.learners)
+        arms = {"grid.environments": self.grid, "transfer.adapted_environments": self.transfer}
+        for setting, group in arms.items():
+            for name in getattr(group, setting.partition(".")[2]):
+                if name not in known:
+                    raise ValueError(f"{setting}: expected media and learners, any of {', '.join(known)}, got {name!r}")
 
     def _check_objective(self) -> None:
         """Refuse an objective without its data."""
@@ -298,19 +330,40 @@ class Settings(Parameters):
         depths = self.grid.depths
         return self.assess.depth if self.assess.depth in depths else max(depths)
 
+    def is_adapted(self, environment: EnvironmentName) -> bool:
+        """Return whether the controllers of champions of an environment adapt to True Slush."""
+        adapted = self.transfer.adapted_environments
+        return environment in adapted or adapted == TransferSettings().adapted_environments
+
     @property
     def needs_ensemble(self) -> bool:
         """Whether any trial evolves under residual networks."""
-        return bool(self.throw_groups)
+        return bool(self.arm_learners)
+
+    def learner(self, environment: EnvironmentName) -> Learner | None:
+        """Return the learner of an environment; None if it is a medium."""
+        given = {**BUILT_IN, **self.learners}.get(environment)
+        if given is None:
+            return None
+        if given.single is not None and (whole := self.learner(given.single)):
+            return replace(whole, name=environment, is_single=True)
+        return Learner(
+            environment,
+            THROWS_GROUPS.get(environment, environment),
+            False,
+            completed(getattr(self, THROWS_GROUPS.get(environment, "throws")), given.throws),
+            completed(self.network, given.network),
+            completed(self.training, given.training),
+            given.n_members or self.ensemble.n_members,
+        )
 
     @property
-    def throw_groups(self) -> tuple[str, ...]:
-        """Settings groups of the throws that networks of this study learn from; the first ensemble is the main one."""
-        in_use = {environment for environment, _, _ in self.grid.trials()}
-        return tuple(dict.fromkeys(ENVIRONMENTS[name].learns_from for name in RESIDUAL_ENVIRONMENTS if name in in_use))
+    def arm_learners(self) -> dict[EnvironmentName, Learner]:
+        """The learners that are arms, in the order of listings."""
+        names = in_order(environment for environment, _, _ in self.grid.trials())
+        return {name: learner for name in names if (learner := self.learner(name))}
 
-    def throws_of(self, group: str) -> Throws:
-        """Return a settings group of throws."""
-        throws = getattr(self, group)
-        assert isinstance(throws, Throws)
-        return throws
+    @property
+    def ensembles(self) -> dict[str, Learner]:
+        """The learners of the arms' ensembles, by data set; the first ensemble is the main one."""
+        return {one.data_set: replace(one, is_single=False) for one in self.arm_learners.values()}

@@ -8,7 +8,7 @@ import jinja2
 from markupsafe import Markup
 
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing
-from tasks.world import ENVIRONMENTS
+from pipeline.report.palette import LOOKS, OTHERS, page_color, palette_css
 
 _MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text is then as large as a heading
 
@@ -36,7 +36,7 @@ def document(*, title: str, policy: str, body: str, css: str = "") -> str:
         body: HTML.
         css: styles in addition to page.css.
     """
-    styles = f"{resource('page.css').rstrip()}\n{_environment_css()}{css}"
+    styles = f"{resource('page.css').rstrip()}\n{palette_css()}{css}"
     return TEMPLATES.get_template("document.html").render(
         title=title, policy=Markup(policy), css=Markup(styles), body=Markup(body.rstrip())
     )
@@ -45,17 +45,6 @@ def document(*, title: str, policy: str, body: str, css: str = "") -> str:
 def absent(title: str, reason: str) -> Markup:
     """State in the place of a figure why it is missing."""
     return Markup('<p class="absent"><b>{}</b>: not available, because {}.</p>').format(title, reason)
-
-
-def _environment_css() -> str:
-    """Return the colours of all environments, for a light and for a dark page."""
-    light = dark = swatches = ""
-    for name, kind in ENVIRONMENTS.items():
-        variable = f"--{name.replace('_', '-')}"
-        light += f" {variable}: {kind.color}; {variable}-adapted: {kind.adapted_color};"
-        dark += f" {variable}: {kind.dark_color}; {variable}-adapted: {kind.dark_adapted_color};"
-        swatches += f".{name} {{ background: var({variable}); }}\n"
-    return f":root {{{light} }}\n@media (prefers-color-scheme: dark) {{ :root {{{dark} }} }}\n{swatches}"
 
 
 def inline_svg(drawing: Drawing) -> Markup:
@@ -80,6 +69,5 @@ _PAGE_COLORS = {
     INK: "--ink",
     FAINT: "--faint",
     PAPER_MARK: "--mark",
-    **{style.color: f"--{name.replace('_', '-')}" for name, style in ENVIRONMENTS.items()},
-    **{style.adapted_color: f"--{name.replace('_', '-')}-adapted" for name, style in ENVIRONMENTS.items()},
+    **{color: page_color(color) for look in (*LOOKS.values(), *OTHERS) for color in (look.color, look.adapted)},
 }

@@ -13,12 +13,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.drawing import DASHED, DOTTED, FIGURE_WIDTH, INK, NothingToDraw, legend, panel_grid, sampled
+from pipeline.report.palette import LOOKS
 from pipeline.report.robot_view import link_outline
 from tasks.analysis.estimates import Estimate
 from tasks.analysis.registry import Assessed
 from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemble_name
 from tasks.arrays import Float64, Int64
-from tasks.world import ENVIRONMENTS
 
 _DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
 """Opacity grows with the number of designs, so that it is legible on a light and on a dark page."""
@@ -50,7 +50,7 @@ def data_set(throws: ThrowPaths | None) -> Figure:
     panels = figure.subplots(len(titles), 1, sharex=True, sharey=True, squeeze=False).ravel()
     for number, (panel, title) in enumerate(zip(panels, titles, strict=True)):
         _paths(panel, throws, group == number, _COLORS[number % len(_COLORS)])
-        panel.axhline(0, color=ENVIRONMENTS["true_slush"].color, lw=1.2)
+        panel.axhline(0, color=LOOKS["true_slush"].color, lw=1.2)
         panel.set_title(f"{title}, {(group == number).sum():,} throws")
         panel.set(aspect="equal", xlim=(-_VIEW, _VIEW), ylim=(-6, 0.6 * _VIEW), ylabel="y [m]")
     panels[-1].set_xlabel("x [m]")

@@ -19,6 +19,7 @@ from pipeline.report import network_figures, transfer_figures
 from pipeline.report.document import TEMPLATES, document, inline_svg, resource
 from pipeline.report.drawing import Drawing, finish
 from pipeline.report.network_figures import ThrowPaths
+from pipeline.report.palette import Look, arms_css, looks_of
 from pipeline.report.render import as_csv, as_html, typeset
 from pipeline.report.replay import Replay, encode
 from pipeline.report.transfer_figures import Curves
@@ -28,7 +29,7 @@ from tasks.analysis.registry import Analysis, Assessed, percent
 from tasks.analysis.tables import ANALYSES
 from tasks.analysis.tables.transfer import TransferRow, papers_mean
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
-from tasks.world import ENVIRONMENTS
+from tasks.world import environment_kind
 
 _POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
 _SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
@@ -52,6 +53,11 @@ class StudyPage:
     not_possible: Sequence[str] = ()  # work items that were not tried because an input failed
     diverged: Sequence[str] = ()  # trials with designs that diverged, and how many
 
+    @property
+    def looks(self) -> dict[str, Look]:
+        """How the arms are drawn."""
+        return looks_of(environment for environment, _, _ in self.settings.grid.trials())
+
     def rows(self, name: str) -> Sequence[Any]:
         """Return the rows of an analysis."""
         return self.tables.get(name, ())
@@ -74,19 +80,21 @@ FIGURES: Mapping[str, PageFigure] = {
         "transfer",
         "Displacement in True Slush, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and "
         "single trials as points. Short marks are the paper’s means.",
-        lambda page: transfer_figures.transfer_at_depth(page.rows("transfer"), page.rows("scores")),
+        lambda page: transfer_figures.transfer_at_depth(page.rows("transfer"), page.rows("scores"), page.looks),
     ),
     "transfer_across_depths": PageFigure(
         "Transfer across depths",
         "transfer",
         "Displacement in True Slush by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
-        lambda page: transfer_figures.transfer_across_depths(page.rows("transfer")),
+        lambda page: transfer_figures.transfer_across_depths(page.rows("transfer"), page.looks),
     ),
     "fitness_curves": PageFigure(
         "Fitness by generation",
         "evolution",
         "Best fitness so far in the environment where the robots evolve: means over trials, bands of ± 1 SD.",
-        lambda page: transfer_figures.fitness_curves(page.curves, OBJECTIVES[page.settings.evolution.objective].unit),
+        lambda page: transfer_figures.fitness_curves(
+            page.curves, OBJECTIVES[page.settings.evolution.objective].unit, page.looks
+        ),
     ),
     "prediction_accuracy": PageFigure(
         "Prediction accuracy",
@@ -139,8 +147,8 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         settings=settings,
         scale=scale_words(settings),
         depth=depth,
-        bars=_bars([row for row in deepest if row.depth == depth]),
-        arms=[ENVIRONMENTS[name] for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
+        bars=_bars(settings, [row for row in deepest if row.depth == depth]),
+        arms=[environment_kind(name) for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
         objective=None if objective.name == PAPERS_OBJECTIVE else f"{settings.selected_for} [{objective.unit}]",
         seconds=settings.rollout.n_measure * settings.physics.time_step,
         heroes=heroes(page.replays),
@@ -154,7 +162,8 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         number=lambda value: typeset(f"{value:z.1f}"),
         **viewer_values(page.replays, settings.name),
     )
-    return document(title=f"Robots evolved for slush: {settings.name}", policy=_POLICY, body=body)
+    title = f"Robots evolved for slush: {settings.name}"
+    return document(title=title, policy=_POLICY, body=body, css=arms_css(page.looks))
 
 
 def _html(address: Callable[[Any], str], one: Analysis, rows: Sequence[Any], depth: float | None) -> Markup:
@@ -213,7 +222,7 @@ def scale_words(settings: Settings) -> str:
     return f"1/{share:,.0f} of the paper’s evolution: {advice}"
 
 
-def _bars(rows: Sequence[TransferRow]) -> list[dict[str, Any]]:
+def _bars(settings: Settings, rows: Sequence[TransferRow]) -> list[dict[str, Any]]:
     """Place a bar for each environment, with a mark for the paper's mean [% of the width]."""
     stated = {row.environment: papers_mean(row.environment, "zero_shot", row.depth) for row in rows}
     means = {row.environment: row.zero_shot.value or 0.0 for row in rows}
@@ -225,7 +234,8 @@ def _bars(rows: Sequence[TransferRow]) -> list[dict[str, Any]]:
 
     return [
         {
-            "kind": ENVIRONMENTS[row.environment],
+            "kind": environment_kind(row.environment),
+            "single": (learner := settings.learner(row.environment)) is not None and learner.is_single,
             "mean": means[row.environment],
             "share": row.zero_shot_share,
             "left": at(min(means[row.environment], 0.0)),

@@ -40,7 +40,7 @@ class Replay:
     """One robot in one environment."""
 
     title: str  # heading for the reader
-    environment: str  # where the design evolved, which sets the robot's colour; "" if unknown
+    environment: str  # where the design evolved; "" if unknown
     seen_in: str  # where it is seen, in words
     depth: float  # depth of the ground below y = 0 [m]
     surroundings: Surroundings
@@ -51,6 +51,7 @@ class Replay:
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME  # frames per second
     overlays: tuple[Overlay, ...] = ()  # further numbers for each link and frame
     push: Float64 | None = None  # (n_frames, n_links, 2) acceleration by the medium [m/s²], where it is known
+    color: str = "#566270"  # of the robot in a film: that of the arm where it evolved
     robot: str = ""  # address of the robot on the page and name of its design file; "" if it has none
     group: str = ""  # heading of the viewer's list under which it is found, such as "Residual Slush, 9 m"
     best: bool = False  # whether it is of the best champion of its arm

@@ -188,7 +188,7 @@ const robots = (() => {
   const MOST_HEIGHT = 15; // metres that a view shows from bottom to top
 
   function drawRobot(context, replay, links, camera, shares) {
-    const fill = color((replay.environment || "unknown").replaceAll("_", "-"));
+    const fill = color(replay.environment ? `arm-${replay.environment}` : "unknown");
     for (let link = replay.nLinks - 1; link >= 0; link--) {
       const [x, y, angle] = links[link];
       const height = replay.lengthScale[link] * camera.scale, width = camera.scale / replay.lengthScale[link];

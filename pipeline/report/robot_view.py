@@ -16,7 +16,6 @@ from pipeline.report.camera import CAPTION_HEIGHT, LANE_SIZE, ZOOM, Camera
 from pipeline.report.drawing import INK
 from pipeline.report.replay import Replay
 from tasks.arrays import Float64
-from tasks.world import ENVIRONMENTS
 
 SKY, SLUSH, GROUND_FILL, GROUND_EDGE, SURFACE = "#f5f8fb", "#bcd9ee", "#8b7d6b", "#5f5446", "#5d9fcd"
 DISTANCE_LINE, UNKNOWN, WHITE = "#d5dde5", "#566270", "#ffffff"
@@ -95,7 +94,7 @@ class Lane:
 
     def _robot(self, draw: ImageDraw.ImageDraw, frame: int) -> None:
         """Draw the links from the last to the root, so that the root is on top, then the joints."""
-        color, paler, edge = robot_colors(self._replay.environment)
+        color, paler, edge = robot_colors(self._replay.color)
         for link in reversed(range(self._edges.shape[1])):
             draw.polygon(self._edges[frame, link].ravel().tolist(), fill=edge)
             draw.polygon(self._insides[frame, link].ravel().tolist(), fill=color if link == 0 else paler)
@@ -111,10 +110,9 @@ def _surface(draw: ImageDraw.ImageDraw, row: int, *, dashed: bool) -> None:
         draw.line((left, row, left + dash, row), fill=SURFACE, width=2 * ZOOM)
 
 
-def robot_colors(environment: str) -> tuple[Rgb, Rgb, Rgb]:
+def robot_colors(color: str) -> tuple[Rgb, Rgb, Rgb]:
     """Return the colours of the root, of the other links and of their edges."""
-    color = _color(environment)
-    return color, mix(color, WHITE, 0.28), mix(color, INK, 0.55)
+    return mix(color, color, 0), mix(color, WHITE, 0.28), mix(color, INK, 0.55)
 
 
 def link_outline(pose: Float64, length: Float64, *, inset: float = 0.0) -> Float64:
@@ -162,7 +160,7 @@ def _strip(replay: Replay) -> Image.Image:
     strip = Image.new("RGB", (LANE_SIZE[0], CAPTION_HEIGHT * ZOOM + 1), WHITE)
     draw = ImageDraw.Draw(strip)
     left = 10 * ZOOM
-    _write(draw, (left, 6 * ZOOM), replay.title, 14, bold=True, fill=_color(replay.environment))
+    _write(draw, (left, 6 * ZOOM), replay.title, 14, bold=True, fill=replay.color)
     _write(draw, (left, 25 * ZOOM), f"in {replay.seen_in}, {replay.depth:g} m", 12)
     return strip
 
@@ -190,12 +188,6 @@ def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
     """Load DejaVu Sans, which matplotlib contains and is therefore the same everywhere."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), size * ZOOM)
-
-
-def _color(environment: str) -> Rgb:
-    colors: dict[str, str] = {name: style.color for name, style in ENVIRONMENTS.items()}
-    color = colors.get(environment, UNKNOWN)
-    return mix(color, color, 0)
 
 
 def mix(first: str | Rgb, second: str | Rgb, share: float) -> Rgb:

@@ -6,11 +6,11 @@ from matplotlib.figure import Figure
 
 from pipeline.report.document import TEMPLATES, document, inline_svg
 from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, finish
+from pipeline.report.palette import LOOKS
 from pipeline.report.render import as_html, typeset
 from tasks.analysis.built_run import RunComparison, RunRow
-from tasks.world import ENVIRONMENTS
 
-_SIMULATED, _PREDICTED = ENVIRONMENTS["true_slush"].color, ENVIRONMENTS["residual_slush"].color
+_SIMULATED, _PREDICTED = LOOKS["true_slush"].color, LOOKS["residual_slush"].color
 
 
 def render_run(comparison: RunComparison, run: str) -> str:

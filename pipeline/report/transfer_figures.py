@@ -21,12 +21,13 @@ from pipeline.report.drawing import (
     sampled,
     show_at_least,
 )
+from pipeline.report.palette import Look
 from tasks.analysis import paper
 from tasks.analysis.estimates import finite
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TransferRow, papers_mean
 from tasks.arrays import Float64
-from tasks.world import ENVIRONMENTS
+from tasks.world import environment_kind
 
 _CURVE_POINTS = 120  # generations drawn per fitness curve
 _MOST_DEPTHS = 4  # panels of fitness curves, and depths that fit into a panel of half the width
@@ -34,7 +35,7 @@ _MOST_DEPTHS = 4  # panels of fitness curves, and depths that fit into a panel o
 _TRANSFERS = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
 
 
-def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]) -> Figure:
+def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial], looks: Mapping[str, Look]) -> Figure:
     """Draw a bar for every arm at the greatest depth: mean ± 1 SD in True Slush, the trials, the paper's mean."""
     known = [row for row in rows if row.zero_shot.value is not None]
     if not known:
@@ -47,23 +48,23 @@ def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]
     for row in known:
         if row.depth != depth:
             continue
-        style, centers = ENVIRONMENTS[row.environment], []
+        look, centers = looks[row.environment], []
         for quantity, mean in (("zero_shot", row.zero_shot), ("adapted", row.adapted)):
             if mean.value is None:
                 continue
             own = [one for one in scores if (one.environment, one.depth) == (row.environment, depth)]
             values = finite(np.array([getattr(one, quantity) for one in own]))
             adapted = quantity == "adapted"
-            color = style.adapted_color if adapted else style.color
-            axes.bar(center, mean.value, 0.62, ec=style.color, lw=1.0, fc=color, hatch="////" if adapted else "")
+            color = look.adapted if adapted else look.color
+            axes.bar(center, mean.value, 0.62, ec=look.color, lw=1.0, fc=color, hatch="////" if adapted else "")
             axes.errorbar(center, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
             spread = np.linspace(-0.2, 0.2, len(values)) if len(values) > 1 else np.zeros(1)
-            axes.plot(center + spread, values, style.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
+            axes.plot(center + spread, values, look.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
             if (stated := papers_mean(row.environment, quantity, depth)) is not None:
                 axes.plot([center + 0.34, center + 0.56], [stated] * 2, color=PAPER_MARK, lw=2.5)
             centers.append(center)
             center += 1.0
-        ticks[style.label.replace(" ", "\n")] = float(np.mean(centers))
+        ticks[environment_kind(row.environment).label.replace(" ", "\n")] = float(np.mean(centers))
         center += 0.45
     axes.axhline(0, color=INK, lw=0.8)
     axes.set_xticks(list(ticks.values()), list(ticks), fontsize="small" if len(ticks) <= 6 else "x-small")
@@ -82,31 +83,33 @@ def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]
     return figure
 
 
-def transfer_across_depths(rows: Sequence[TransferRow]) -> Figure:
+def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look]) -> Figure:
     """Draw lines over depth for every environment, a panel for zero-shot and one for adapted, with ± 1 SD."""
     listed = sorted({row.depth for row in rows})
     drawn = [name for name in _TRANSFERS if any(getattr(row, name).value is not None for row in rows)]
     if len(listed) < 2 or not drawn:
         raise NothingToDraw
     figure, panels = panel_grid(len(drawn), 2 if len(listed) <= _MOST_DEPTHS else 1, row_height=2.6)
-    present = [name for name in ENVIRONMENTS if any(row.environment == name for row in rows)]
+    present = [name for name in looks if any(row.environment == name for row in rows)]
     for panel, quantity in zip(panels, drawn, strict=True):
         for number, name in enumerate(present):
-            style, shift = ENVIRONMENTS[name], 0.07 * (number - (len(present) - 1) / 2)
+            look, shift = looks[name], 0.07 * (number - (len(present) - 1) / 2)
             own = sorted((row for row in rows if row.environment == name), key=lambda row: row.depth)
             found = [(row.depth, mean) for row in own if (mean := getattr(row, quantity)).value is not None]
             if found:
                 at = [listed.index(depth) + shift for depth, _ in found]
                 means, sds = zip(*((mean.value, mean.sd or 0.0) for _, mean in found), strict=True)
-                panel.errorbar(at, means, sds, color=style.color, marker=style.marker, ms=5, elinewidth=0.9)
+                panel.errorbar(at, means, sds, color=look.color, marker=look.marker, ms=5, elinewidth=0.9)
         panel.axhline(0, color=INK, lw=0.8)
         panel.set_title(_TRANSFERS[quantity])
         panel.grid(axis="y")
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
     figure.supxlabel("depth [m]")
     figure.supylabel("displacement in True Slush [m]")
-    styles = [ENVIRONMENTS[name] for name in present]
-    handles = [Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label) for style in styles]
+    handles = [
+        Line2D([], [], color=looks[name].color, marker=looks[name].marker, ms=5, label=environment_kind(name).label)
+        for name in present
+    ]
     legend(figure, handles, n_columns=3 if len(handles) <= 6 else 2, above=True)  # below it would hide the label
     return figure
 
@@ -114,7 +117,7 @@ def transfer_across_depths(rows: Sequence[TransferRow]) -> Figure:
 Curves = Mapping[tuple[str, float], Sequence[Float64]]  # best fitness by generation of each trial, by arm
 
 
-def fitness_curves(curves: Curves, unit: str) -> Figure:
+def fitness_curves(curves: Curves, unit: str, looks: Mapping[str, Look]) -> Figure:
     """Draw a panel for some depths: best fitness by generation where the robots evolve, mean ± 1 SD over trials."""
     known = {arm: [curve for curve in own if np.isfinite(curve).any()] for arm, own in curves.items()}
     known = {arm: own for arm, own in known.items() if own}
@@ -123,17 +126,17 @@ def fitness_curves(curves: Curves, unit: str) -> Figure:
     listed = sorted({depth for _, depth in known})
     shown = [listed[i] for i in sampled(len(listed), _MOST_DEPTHS)]
     figure, panels = panel_grid(len(shown), 2, row_height=2.9 if len(shown) == 1 else 1.9)
-    present = [name for name in ENVIRONMENTS if any(name == environment for environment, _ in known)]
+    present = [name for name in looks if any(name == environment for environment, _ in known)]
     for panel, depth in zip(panels, shown, strict=True):
         for name in present:
-            _curve(panel, known.get((name, depth), ()), ENVIRONMENTS[name].color)
+            _curve(panel, known.get((name, depth), ()), looks[name].color)
         panel.set_title(f"depth {depth:g} m")
         panel.grid()
     show_at_least(panels[0])
     panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     figure.supxlabel("generation")
     figure.supylabel(f"best fitness [{unit}]")
-    handles = [Line2D([], [], color=ENVIRONMENTS[name].color, label=ENVIRONMENTS[name].label) for name in present]
+    handles = [Line2D([], [], color=looks[name].color, label=environment_kind(name).label) for name in present]
     legend(figure, handles, n_columns=2, above=True)
     return figure
 

@@ -72,7 +72,7 @@
         if (drawing) context.lineTo(x, y); else context.moveTo(x, y);
         drawing = true;
       });
-      context.strokeStyle = color((shown[index].environment || "unknown").replaceAll("_", "-"));
+      context.strokeStyle = color(shown[index].environment ? `arm-${shown[index].environment}` : "unknown");
       context.lineWidth = 1.5;
       context.setLineDash(index ? [5, 3] : []);
       context.stroke();

@@ -8,7 +8,7 @@ from pipeline.results.recorded_study import Study
 from pipeline.workflow.record import setting_changes
 from tasks.analysis.comparison import compare
 from tasks.analysis.scores import QUANTITIES, arms
-from tasks.world import ENVIRONMENTS
+from tasks.world import environment_kind, in_order
 
 _OF_DISPLACEMENT = ("physics", "slush", "rollout")  # settings groups that decide what a displacement is
 
@@ -27,7 +27,7 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
     rows = compare(trials, trials, [((a, quantity), (b, quantity)) for quantity in QUANTITIES])
     if not rows:
         raise PuddleError(f"study {study.name}: {a} and {b} have no champions at the same depth yet")
-    names = [ENVIRONMENTS[arm].label for arm in (a, b)]
+    names = [environment_kind(arm).label for arm in (a, b)]
     return Compared(f"{names[0]} against {names[1]} in study {study.name}", names[0], names[1], (), rows)
 
 
@@ -41,11 +41,12 @@ def compare_studies(a: Study, b: Study) -> Compared:
         raise PuddleError(f"expected two studies, got study {a.name} twice")
     of_a, of_b = (study.settings.model_dump(mode="json", exclude={"name", "work"}) for study in (a, b))
     changes = [(name, json.dumps(new), json.dumps(old)) for name, old, new in setting_changes(of_b, of_a)]
-    pairs = [((name, quantity), (name, quantity)) for name in ENVIRONMENTS for quantity in QUANTITIES]
-    pairs.remove((("true_slush", "predicted"),) * 2)  # which is zero-shot
-    rows = compare(a.trials(), b.trials(), pairs)
+    of_both = a.trials(), b.trials()
+    known = [(name, quantity) for name in in_order(one.environment for one in of_both[0]) for quantity in QUANTITIES]
+    pairs = [(arm, arm) for arm in known if arm != ("true_slush", "predicted")]  # which is zero-shot
+    rows = compare(*of_both, pairs)
     if not rows:
-        listed = [", ".join(f"{name} at {depth:g} m" for name, depth in arms(study.trials())) for study in (a, b)]
+        listed = [", ".join(f"{name} at {depth:g} m" for name, depth in arms(trials)) for trials in of_both]
         raise PuddleError(
             f"studies {a.name} and {b.name} have no champions of the same environment at the same depth: expected "
             f"some in both, got {listed[0] or 'none'} in {a.name} and {listed[1] or 'none'} in {b.name}"

@@ -196,8 +196,8 @@ class Study:
         """Return the trained networks, for ``ResidualSlush(depth=9.0, ensemble=study.ensemble())``.
 
         Args:
-            throws: settings group of the throws that they learned from, ``throws`` or ``designed_throws``; by default
-                the study's main one.
+            throws: data set that they learned from: ``throws``, ``designed_throws`` or the name of the study's own
+                learner; by default the main one.
             replicate: number of the data set.
 
         Raises:

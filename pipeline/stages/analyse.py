@@ -43,12 +43,13 @@ def table_file(name: str) -> str:
 def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
     """Plan one item for each analysis that applies, or one for each arm."""
     trials, chains = trials_of(settings, "transfer"), []
+    learned = next(iter(settings.arm_learners), "true_slush")
     for name, one in ANALYSES.items():
         if not applies(one, settings):
             continue
         arms = arms_of(trials).items() if one.each == "arm" else [(None, trials)]
         for arm, own in arms:
-            home = arm.environment if arm else "residual_slush" if "train" in one.reads else "true_slush"
+            home = arm.environment if arm else learned if "train" in one.reads else "true_slush"
             weight = one.cost * len(own) * environments.relative_cost(settings, home)
             spec = AnalysisSpec(name, one.version, data_spec(settings, own))
             chains.append(Chain(OutputId(name, arm), (1,), spec, weight=weight))

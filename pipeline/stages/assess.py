@@ -22,6 +22,7 @@ from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
+from tasks.residual import ensemble_of_data_set
 from tasks.seeding import generator
 from tasks.world import EnvironmentName
 
@@ -72,7 +73,7 @@ class AssessSpec:
 
 
 def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
-    """Give every trial its share of the designs, once for each group of throws that an ensemble learns from."""
+    """Give every trial its share of the designs, once for each ensemble."""
     trials = [
         trial
         for trial in trials_of(settings, "assess")
@@ -81,13 +82,14 @@ def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
     if not trials or not settings.needs_ensemble:
         return []
     simulation = environments.simulation_spec(settings, "true_slush")
+    groups = tuple(settings.ensembles)
     shares = zip(trials, spread_evenly(settings.assess.n_designs, len(trials)), strict=True)
     return [
         Chain(AssessmentId(trial, DataSetId(group, trial.replicate)), (n,), spec)
         for trial, n in shares
         if n
         for spec in [AssessSpec(trial, n, settings.seed, simulation)]
-        for group in settings.throw_groups
+        for group in groups
     ]
 
 
@@ -111,7 +113,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
     drawn = draw_over_generations(history["generation"], spec.n_designs, rng)
     designs = Designs.from_arrays(history)[drawn]
     networks = environments.networks_among(inputs)
-    names: tuple[EnvironmentName, ...] = ("true_slush", "residual_slush")
+    learner = ensemble_of_data_set(next(iter(networks)).data_set.group)
     true, predicted = (
         environments.roll_out(
             spec.simulation,
@@ -119,7 +121,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
             environments.build_environment(spec.simulation.media, name, trial.depth, networks),
             designs,
         )
-        for name in names
+        for name in ("true_slush", learner)
     )
     columns = {
         "environment": np.full(len(drawn), trial.environment),
@@ -158,7 +160,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     table = read_predictions(shares)
     n_diverged = int(divergence.somewhere(table).sum())
     n = len(table["true"])
-    ensembles = f" of {len(settings.throw_groups)} ensembles" if len(settings.throw_groups) > 1 else ""
+    ensembles = f" of {len(settings.ensembles)} ensembles" if len(settings.ensembles) > 1 else ""
     return Summary(
         lines=[
             f"{n} designs of {len(shares)} trials at {settings.assessed_depth:g} m, in True Slush and under "

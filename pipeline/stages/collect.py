@@ -72,8 +72,9 @@ def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
     """Divide the throws of every data set into chunks; there are none if no trial needs networks."""
     media = environments.media_of(settings, "true_slush")
     chains = list[Chain[ChunkSpec | TracksSpec]]()
+    ensembles, size = settings.ensembles, settings.work.throws_per_item
     for data_set in data_sets(settings):
-        throws, size = settings.throws_of(data_set.group), settings.work.throws_per_item
+        throws = ensembles[data_set.group].throws
         if throws.source == "tracks" and settings.tracks is not None:
             of_tracks = TracksSpec(unnamed(settings.tracks), settings.physics)
             chains.append(Chain(ChunkId(data_set, 0), (throws.n_throws,), of_tracks))

@@ -1,22 +1,23 @@
 """Data sets of throws, and the networks that learn from them: which of them each trial uses.
 
-A study has one data set for each settings group of throws and each replicate.
+A study has one data set for each learner with an ensemble and each replicate.
 """
 
 from dataclasses import dataclass
 
 from pipeline.config.settings import Settings
 from pipeline.workflow.identity import TrialId, trials_of
-from tasks.world import ENVIRONMENTS
+from tasks.residual import Learner
+from tasks.world import environment_kind
 
 PAPERS_GROUP = "throws"
 
 
 @dataclass(frozen=True)
 class DataSetId:
-    """One replicate of the throws of one settings group."""
+    """One replicate of the throws of one learner."""
 
-    group: str
+    group: str  # Learner.data_set
     replicate: int
 
     @property
@@ -64,7 +65,7 @@ class NetworkId:
 
 def data_sets(settings: Settings) -> list[DataSetId]:
     """List the data sets of a study, the main one first."""
-    return [DataSetId(group, k) for group in settings.throw_groups for k in range(settings.replicates)]
+    return [DataSetId(group, k) for group in settings.ensembles for k in range(settings.replicates)]
 
 
 def main_data_set(settings: Settings) -> DataSetId:
@@ -78,15 +79,14 @@ def main_data_set(settings: Settings) -> DataSetId:
     return data_sets(settings)[0]
 
 
-def data_set_of(trial: TrialId, group: str) -> DataSetId:
-    """Return the data set that a trial uses: that of its own environment, or of a given group if it needs none."""
-    kind = ENVIRONMENTS[trial.environment]
-    return DataSetId(group if kind.networks == "none" else kind.learns_from, trial.replicate)
+def data_set_of(trial: TrialId, learner: Learner | None, group: str) -> DataSetId:
+    """Return the data set that a trial uses: that of its own learner, or of a given group if it has none."""
+    return DataSetId(learner.data_set if learner else group, trial.replicate)
 
 
 def replicate_of(trial: TrialId) -> int:
     """Return the replicate that a trial depends on; 0 for all trials of an environment without networks."""
-    return 0 if ENVIRONMENTS[trial.environment].networks == "none" else trial.replicate
+    return trial.replicate if environment_kind(trial.environment).learned else 0
 
 
 def own_network(trial: TrialId) -> int:
@@ -96,21 +96,26 @@ def own_network(trial: TrialId) -> int:
 
 def ensemble_ids(settings: Settings, data_set: DataSetId) -> list[NetworkId]:
     """List the members of a data set's ensemble."""
-    return [NetworkId(data_set, index) for index in range(settings.ensemble.n_members)]
+    return [NetworkId(data_set, index) for index in range(settings.ensembles[data_set.group].n_members)]
 
 
-def networks_of(settings: Settings, trial: TrialId) -> list[NetworkId]:
-    """List the networks that a trial evolves in."""
-    kind = ENVIRONMENTS[trial.environment]
-    if kind.networks == "none":
+def networks_of(trial: TrialId, learner: Learner | None) -> list[NetworkId]:
+    """List the networks that a trial of a learner evolves in."""
+    if learner is None:
         return []
-    data_set = data_set_of(trial, kind.learns_from)
-    return [NetworkId(data_set, own_network(trial))] if kind.networks == "one" else ensemble_ids(settings, data_set)
+    data_set = DataSetId(learner.data_set, trial.replicate)
+    numbers = [own_network(trial)] if learner.is_single else range(learner.n_members)
+    return [NetworkId(data_set, number) for number in numbers]
 
 
 def network_ids(settings: Settings) -> list[NetworkId]:
     """List every network of a study: the ensemble of each data set, and the networks of single-member trials."""
     ensembles = [member for data_set in data_sets(settings) for member in ensemble_ids(settings, data_set)]
-    single = [network for trial in trials_of(settings, "evolve") for network in networks_of(settings, trial)]
+    learners = settings.arm_learners
+    single = [
+        network
+        for trial in trials_of(settings, "evolve")
+        for network in networks_of(trial, learners.get(trial.environment))
+    ]
     listed = data_sets(settings)
     return sorted({*ensembles, *single}, key=lambda network: (listed.index(network.data_set), network.index))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.cluster import Spread
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
+from pipeline.config.settings import RolloutSettings, Settings
 from pipeline.stages.data_sets import NetworkId
 from pipeline.store.encoding import decode_arrays
 from pipeline.store.store import Store
@@ -15,9 +15,10 @@ from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Up
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
+from tasks.residual import Architecture
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Physics
+from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, environment_kind
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 MEMBER = "member"  # role of the inputs that are networks
@@ -38,7 +39,7 @@ class SimulationSpec:
 
 def media_of(settings: Settings, *environments: EnvironmentName) -> Media:
     """Select the settings of some environments' media; random ones get the study's seed."""
-    kinds = (ENVIRONMENTS[environment] for environment in environments)
+    kinds = map(environment_kind, environments)
     return {
         kind.settings_group: kind.for_study(getattr(settings, kind.settings_group), settings.seed)
         for kind in kinds
@@ -62,8 +63,8 @@ def build_environment(
         depth: of the ground below the surface [m].
         networks: its members, if it has any.
     """
-    ensemble = None if ENVIRONMENTS[name].networks == "none" else ensemble_of(networks)
-    return ENVIRONMENTS[name].environment(depth, media, ensemble)
+    kind = environment_kind(name)
+    return kind.environment(depth, media, ensemble_of(networks) if kind.learned else None)
 
 
 def ensemble_of(networks: Mapping[NetworkId, Files]) -> EnsembleMedium:
@@ -104,7 +105,7 @@ def execution_options(settings: Settings, environment: EnvironmentName) -> Execu
     Only slow rollouts are split: without networks the batch engine takes milliseconds for a generation, less than it
     takes to hand out its parts.
     """
-    slow = environment in RESIDUAL_ENVIRONMENTS or settings.work.engine == "reference"
+    slow = environment_kind(environment).learned or settings.work.engine == "reference"
     return Execution(settings.work.engine, settings.work.designs_per_batch if slow else None)
 
 
@@ -112,30 +113,27 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many trials of an environment fill the engine's lanes together, where one leaves some empty."""
     if settings.work.engine != "batch":
         return 1
-    if environment in RESIDUAL_ENVIRONMENTS:  # an ensemble fills the lanes; single members differ between trials
+    if environment_kind(environment).learned:  # an ensemble fills the lanes; single members differ between trials
         return 1
     return n_that_fill_lanes(settings.evolution.afpo.population_size, settings.physics)
 
 
 def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate the cost of a generation, relative to one on dry land."""
-    n_members = number_of_members(settings, environment)
-    if environment not in RESIDUAL_ENVIRONMENTS:
-        return float(n_members)
-    return n_members * (1 + network_flops(settings) / _FLOPS_OF_PHYSICS)
+    n_members, learner = number_of_members(settings, environment), settings.learner(environment)
+    return n_members * (1 + (network_flops(learner.network) / _FLOPS_OF_PHYSICS if learner else 0))
 
 
 def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many members simulate each design in an environment, 1 without an ensemble."""
-    kind = ENVIRONMENTS[environment]
-    if kind.networks != "none":
-        return settings.ensemble.n_members if kind.networks == "all" else 1
-    return kind.environment(0.0, media_of(settings, environment)).n_members
+    if learner := settings.learner(environment):
+        return 1 if learner.is_single else learner.n_members
+    return environment_kind(environment).environment(0.0, media_of(settings, environment)).n_members
 
 
-def network_flops(settings: Settings) -> int:
+def network_flops(network: Architecture) -> int:
     """Return the floating-point operations of one network for one link."""
-    return 2 * settings.network.n_weights
+    return 2 * network.n_weights
 
 
 def roll_out(
@@ -173,7 +171,7 @@ class FitnessSpec:
 def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:
     """Return what designs are selected for in an environment."""
     objective, depths = settings.evolution.objective, settings.objective_depths
-    if not ENVIRONMENTS[environment].is_ensemble:
+    if not environment_kind(environment).is_ensemble:
         return FitnessSpec(0.0, objective, depths, "population")
     return FitnessSpec(settings.ensemble.disagreement_penalty, objective, depths, settings.ensemble.deviation)
 

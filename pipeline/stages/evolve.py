@@ -30,7 +30,8 @@ def _item(
     settings: Settings, chain: Chain[TrialSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[SegmentSpec]:
     trial = chain.spec
-    members = environments.network_inputs(networks_of(settings, trial.identity), upstream)
+    networks = networks_of(trial.identity, settings.learner(trial.environment))
+    members = environments.network_inputs(networks, upstream)
     return Item(
         EVOLVE.name,
         EVOLVE.version,

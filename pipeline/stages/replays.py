@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
+from pipeline.config.settings import Settings
 from pipeline.report.page import robot_address
+from pipeline.report.palette import looks_of
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import environments
 from pipeline.stages.environments import SimulationSpec
@@ -19,7 +20,7 @@ from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.residual.ensemble import WeightsError
 from tasks.simulation import Rollouts
-from tasks.world import ENVIRONMENTS, DryLand, EnsembleMedium, Environment, EnvironmentName
+from tasks.world import DryLand, EnsembleMedium, Environment, EnvironmentName, environment_kind
 
 _MOST_SECONDS_IN_TANK = 60.0  # limit on the replays of the tank [s]
 
@@ -54,7 +55,7 @@ def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
 
     It is the best zero-shot, or the best where it evolved if none survives True Slush.
     """
-    if own[0].environment in RESIDUAL_ENVIRONMENTS and not study.has_networks:
+    if environment_kind(own[0].environment).learned and not study.has_networks:
         return []
     scored = np.array([champion.zero_shot for champion in own])
     survives = bool(np.isfinite(scored).any())
@@ -89,7 +90,7 @@ def _replay(
     with_push: bool,
     ensemble: EnsembleMedium | None,
 ) -> Replay | None:
-    label = ENVIRONMENTS[champion.environment].label
+    label = environment_kind(champion.environment).label
     replay = replay_in(
         champion.design,
         study.simulate(environment, champion.design, trace=True),
@@ -104,7 +105,8 @@ def _replay(
     if replay is None:
         return None
     group = f"{label}, {champion.depth:g} m"
-    return replace(replay, environment=champion.environment, robot=_address(champion), group=group)
+    color = looks_of(trial.environment for trial in study.spec.trials)[champion.environment].color
+    return replace(replay, environment=champion.environment, color=color, robot=_address(champion), group=group)
 
 
 def replay_in(
@@ -133,13 +135,13 @@ def replay_in(
         number: of the network in its data set, where it is not its place in the ensemble.
     """
     assert rollouts.trace is not None
-    physics, n_settle, hallucinated = simulation.physics, simulation.rollout.n_settle, name in RESIDUAL_ENVIRONMENTS
+    kind, physics, n_settle = environment_kind(name), simulation.physics, simulation.rollout.n_settle
     member = median_member(rollouts.displacement[:, 0]) if environment.is_ensemble else None
     trace = rollouts.trace if member is None else rollouts.trace[member]
     if not np.isfinite(trace).all():
         return None
     push, overlays = None, list[Overlay]()
-    if with_push and hallucinated:
+    if with_push and kind.learned:
         predicted, _ = predicted_accelerations(design, trace, environment.medium, physics)  # type: ignore[arg-type]
         push = at_frames(predicted[member or 0, 0, ..., :2], n_settle)
     elif with_push and (medium := environment.components[member or 0].medium) is not None:
@@ -147,7 +149,7 @@ def replay_in(
     if ensemble is not None and ensemble.n_members > 1:
         doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
         overlays.append(Overlay("disagreement of the members", "m/s²", doubts))
-    label = "Residual Slush" if hallucinated else ENVIRONMENTS[name].label
+    label = "Residual Slush" if kind.learned else kind.label
     fills: dict[str, Surroundings] = {"dry_land": "air", "true_slush": "true slush"}
     return replay_of(
         design,
@@ -156,7 +158,7 @@ def replay_in(
         environment="",
         seen_in=label if member is None else f"{label} (member {member if number is None else number})",
         depth=environment.depth,
-        surroundings="hallucinated slush" if hallucinated else fills.get(name, "another medium"),
+        surroundings="hallucinated slush" if kind.learned else fills.get(name, "another medium"),
         n_settle=n_settle,
         time_step=physics.time_step,
         overlays=tuple(overlays),
@@ -174,7 +176,7 @@ def tank_replays(settings: Settings, champion: Champion, execution: Execution) -
     """Return replays of a proposed champion in the tank and on its dry floor, without those that diverged."""
     assert settings.tank is not None
     tank, simulation = settings.tank, environments.simulation_spec(settings, "true_slush")
-    time_step, evolved = settings.physics.time_step, ENVIRONMENTS[champion.environment].evolved
+    time_step, evolved = settings.physics.time_step, environment_kind(champion.environment).evolved
     n_measure = min(tank.n_steps(time_step), round(_MOST_SECONDS_IN_TANK / time_step))
     simulation = replace(simulation, rollout=simulation.rollout.model_copy(update={"n_measure": n_measure}))
     filled, drained = environments.true_slush(simulation.media, tank.simulated_depth), DryLand(depth=0.0)

@@ -184,7 +184,7 @@ def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles, *, with_r
         settings=settings,
         tables=tables,
         curves=_by_arm(evolved),
-        assessed={group: one for group in settings.throw_groups if (one := study.assessed(group)) is not None},
+        assessed={group: one for group in settings.ensembles if (one := study.assessed(group)) is not None},
         throws=_throws(inputs),
         rejected=_rejected(list(evolved.values())),
         created_with=spec.made_with,
@@ -261,7 +261,7 @@ def _rejected(curves: Sequence[Columns]) -> dict[str, float]:
 
 def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Columns]) -> list[str]:
     """List what diverged, by trial."""
-    adapted, found = _curves(ADAPTATION, inputs), []
+    adapted, groups, found = _curves(ADAPTATION, inputs), tuple(settings.ensembles), []
     for trial in trials_of(settings, "transfer"):
         label = trial.label
         if (curve := evolved.get(trial.in_stage("evolve"))) is not None:
@@ -269,7 +269,7 @@ def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Colu
         if (scored := inputs.get(InputName(SCORED, trial))) is not None:
             scores = decode_scores(scored[SCORE], label)
             found.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(trial))))
-        for group in settings.throw_groups:
+        for group in groups:
             assessment = AssessmentId(trial.in_stage("assess"), DataSetId(group, trial.replicate))
             if (share := inputs.get(InputName(ASSESSED, assessment))) is not None:
                 found.append((f"assess: {assessment.label}", divergence.in_assessment(read_predictions([share]))))

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from numpy.random import Generator
 
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
+from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.assess import ASSESSED, PREDICTIONS, AssessmentId, read_predictions
 from pipeline.stages.data_sets import (
@@ -29,9 +29,10 @@ from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Up
 from tasks.analysis.registry import AnalysisSettings, Assessed, Champion
 from tasks.analysis.scores import ScoredTrial
 from tasks.design import Designs
+from tasks.residual import Learner
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, Physics
+from tasks.world import EnsembleMedium, Environment, Physics, environment_kind
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,6 @@ class DataSpec:
     seed: int
     trials: tuple[TrialId, ...]
     simulation: SimulationSpec
-    n_members: int  # of an ensemble
     settings: AnalysisSettings
 
 
@@ -51,10 +51,9 @@ def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
         settings.seed,
         tuple(trials),
         environments.simulation_spec(settings, "true_slush", *(arm.environment for arm in arms_of(trials))),
-        settings.ensemble.n_members,
         AnalysisSettings(
             settings.assessed_depth,
-            settings.throw_groups,
+            settings.arm_learners,
             settings.ensemble.deviation,
             settings.tank,
             settings.physics,
@@ -80,10 +79,11 @@ def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[s
         for assessed, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, assessed)] = Input(share, (PREDICTIONS,))
     if "train" in reads:
-        served = {data_set_of(trial, main_data_set(settings).group) for trial in trials}
+        learners, main = settings.arm_learners, main_data_set(settings).group
+        served = {data_set_of(trial, learners.get(trial.environment), main) for trial in trials}
         listed = [data_set for data_set in data_sets(settings) if data_set in served]
         members = [network for data_set in listed for network in ensemble_ids(settings, data_set)]
-        own = [network for trial in trials for network in networks_of(settings, trial)]
+        own = [network for trial in trials for network in networks_of(trial, learners.get(trial.environment))]
         inputs |= network_inputs(dict.fromkeys([*members, *own]), upstream)
     return inputs
 
@@ -103,7 +103,7 @@ class StudyFiles:
     @property
     def has_networks(self) -> bool:
         """Whether every network is there that some trial evolved in."""
-        needed = any(trial.environment in RESIDUAL_ENVIRONMENTS for trial in self.spec.trials)
+        needed = any(environment_kind(trial.environment).learned for trial in self.spec.trials)
         return bool(self.networks) or not needed
 
     @cached_property
@@ -144,20 +144,15 @@ class StudyFiles:
 
     def home(self, champion: Champion) -> Environment:
         """Return where a champion evolved."""
-        trial, kind, networks = self.trial_of(champion), ENVIRONMENTS[champion.environment], dict[NetworkId, Files]()
-        if kind.networks == "all":
-            networks = self._members(data_set_of(trial, kind.learns_from))
-        elif kind.networks == "one":
-            own = NetworkId(data_set_of(trial, kind.learns_from), own_network(trial))
-            networks = {own: self.networks[own]}
-        return environments.build_environment(
-            self.spec.simulation.media, champion.environment, champion.depth, networks
-        )
+        own = networks_of(self.trial_of(champion), self._learner(champion))
+        networks = {network: self.networks[network] for network in own}
+        media = self.spec.simulation.media
+        return environments.build_environment(media, champion.environment, champion.depth, networks)
 
     def member(self, champion: Champion) -> int | None:
         """Return the number of the network that a champion evolved in, if it was a single one."""
-        one = ENVIRONMENTS[champion.environment].networks == "one"
-        return own_network(self.trial_of(champion)) if one else None
+        learner = self._learner(champion)
+        return own_network(self.trial_of(champion)) if learner and learner.is_single else None
 
     def ensemble(self, champion: Champion | None = None) -> EnsembleMedium:
         data_set = self.data_set(champion)
@@ -195,12 +190,19 @@ class StudyFiles:
     def data_set(self, champion: Champion | None) -> DataSetId:
         """Return the data set whose ensemble serves a champion; by default the main one."""
         main = next(iter(self.networks)).data_set
-        return main if champion is None else data_set_of(self.trial_of(champion), main.group)
+        if champion is None:
+            return main
+        return data_set_of(self.trial_of(champion), self._learner(champion), main.group)
 
     def _members(self, data_set: DataSetId) -> dict[NetworkId, Files]:
         """Return the members of the ensemble of a data set, without further networks of single-member trials."""
-        own = {one: files for one, files in self.networks.items() if one.data_set == data_set}
-        return {one: files for one, files in own.items() if one.index < self.spec.n_members}
+        n_members = next(one.n_members for one in self.settings.learners.values() if one.data_set == data_set.group)
+        return {
+            one: files for one, files in self.networks.items() if one.data_set == data_set and one.index < n_members
+        }
+
+    def _learner(self, champion: Champion) -> Learner | None:
+        return self.settings.learners.get(champion.environment)
 
     @cached_property
     def _trials(self) -> Mapping[tuple[str, float, int], TrialId]:

@@ -56,18 +56,24 @@ class MemberSpec:
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
     """Train each network by itself."""
-    chains = []
+    chains, ensembles = [], settings.ensembles
     for network in network_ids(settings):
+        learner = ensembles[network.data_set.group]
         seed = replicate_seed(settings.seed, network.data_set.replicate)
-        spec = MemberSpec(network.index, seed, settings.network, settings.training)
-        chains.append(Chain(network, (spec.training.n_iterations,), spec))
+        spec = MemberSpec(network.index, seed, learner.network, learner.training)
+        weight = _cost(learner.network, learner.training) / _cost(settings.network, settings.training)
+        chains.append(Chain(network, (spec.training.n_iterations,), spec, weight))
     return chains
+
+
+def _cost(network: Architecture, training: Training) -> float:
+    return network.n_weights * training.batch_size
 
 
 def _item(
     settings: Settings, chain: Chain[MemberSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[MemberSpec]:
-    execution = Execution(n_gpus=1 if settings.training.device == "cuda" else 0)
+    execution = Execution(n_gpus=1 if chain.spec.training.device == "cuda" else 0)
     assert isinstance(chain.identity, NetworkId)
     throws = throws_inputs(upstream["collect"], chain.identity.data_set)
     return Item(TRAIN.name, TRAIN.version, chain.label, chain.spec, throws, execution)

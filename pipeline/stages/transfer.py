@@ -66,7 +66,7 @@ def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
     """Plan the segments of each trial's adaptation, if it has one, and then an item that scores its champions."""
     chains = []
     for trial in trials_of(settings, "transfer"):
-        adapted = trial.environment in settings.transfer.adapted_environments
+        adapted = settings.is_adapted(trial.environment)
         adaptation = segments.segment_lengths(settings, settings.transfer.n_generations) if adapted else ()
         spec = segments.trial_spec(settings, trial, "true_slush")
         chains.append(segments.trial_chain(settings, spec, (*adaptation, _SCORING_UNITS)))
@@ -87,7 +87,8 @@ def _item(
         home = environments.simulation_spec(settings, trial.environment)
         deviation = environments.fitness_spec(settings, trial.environment).deviation
         label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation)
-        inputs |= environments.network_inputs(networks_of(settings, trial), upstream)
+        networks = networks_of(trial, settings.learner(trial.environment))
+        inputs |= environments.network_inputs(networks, upstream)
         if previous is not None:
             inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
     execution = environments.execution_options(settings, "true_slush")

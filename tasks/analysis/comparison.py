@@ -32,8 +32,7 @@ from tasks.analysis.estimates import (
 )
 from tasks.analysis.paper import NEGLIGIBLE
 from tasks.analysis.registry import column
-from tasks.analysis.scores import BEST, ScoredArm, ScoredTrial, arm_name, sample
-from tasks.world import ENVIRONMENTS
+from tasks.analysis.scores import BEST, QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
 
 Verdict = Literal["agrees", "differs", "cannot tell"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -56,7 +55,7 @@ def p_value(p: float) -> str:
 def written_arm(arm: str) -> str:
     """Write an arm as readers know it: "residual_slush/adapted" is "Residual Slush adapted"."""
     environment, _, quantity = arm.partition("/")
-    return arm_name((environment, quantity)) if environment in ENVIRONMENTS else arm  # type: ignore[arg-type]
+    return arm_name((environment, quantity)) if quantity in QUANTITIES else arm  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

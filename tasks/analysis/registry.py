@@ -19,7 +19,7 @@ from dataclasses import MISSING, dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from tasks.world import ENVIRONMENTS, EnvironmentName
+from tasks.world import EnvironmentName, environment_kind
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tasks.arrays import Float64, Int64
     from tasks.design import Designs
     from tasks.evolution import Deviation
+    from tasks.residual import Learner
     from tasks.simulation import Rollouts
     from tasks.world import EnsembleMedium, Environment, Physics
 
@@ -57,7 +58,8 @@ def column(
 
 def environment_name(name: str) -> str:
     """Write an environment with its symbol."""
-    return f"{ENVIRONMENTS[name].label}, {ENVIRONMENTS[name].symbol}"
+    kind = environment_kind(name)
+    return f"{kind.label}, {kind.symbol}"
 
 
 def percent(share: float) -> str:
@@ -108,11 +110,16 @@ class AnalysisSettings:
     """Settings of a study that analyses use."""
 
     assessed_depth: float  # depth at which designs are assessed [m]
-    throw_groups: Sequence[str]  # settings groups of throws that ensembles learned from, the main one first
+    learners: Mapping[EnvironmentName, Learner]  # of the arms, those of the main ensemble first
     deviation: Deviation  # what σ over members is
     tank: Tank | None  # the virtual tank, if the study has one
     physics: Physics  # constants of the base simulator
     n_settle: int  # steps of a rollout before displacement is measured
+
+    @property
+    def data_sets(self) -> tuple[str, ...]:
+        """Names of the data sets that ensembles learned from, the main one first."""
+        return tuple(dict.fromkeys(learner.data_set for learner in self.learners.values()))
 
 
 class StudyData(Protocol):
@@ -130,8 +137,8 @@ class StudyData(Protocol):
     def champions(self) -> Sequence[Champion]:
         """The champions that there are, in the order of the trials."""
 
-    def assessed(self, group: str) -> Assessed | None:
-        """Return the designs that the ensemble of a group of throws was assessed with, if any."""
+    def assessed(self, data_set: str) -> Assessed | None:
+        """Return the designs that the ensemble of a data set was assessed with, if any."""
 
     def true_slush(self, depth: float) -> Environment:
         """Return True Slush at a depth [m]."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks.analysis.estimates import Sample, sample_of
 from tasks.analysis.registry import OfTrial, column
-from tasks.world import ENVIRONMENTS, EnvironmentName
+from tasks.world import EnvironmentName, environment_kind, in_order
 
 Quantity = Literal["predicted", "zero_shot", "adapted"]
 """Displacement where a champion evolved; in True Slush; in True Slush with a controller that evolved there."""
@@ -23,7 +23,7 @@ BEST: ScoredArm = ("true_slush", "zero_shot")  # designs that evolved in True Sl
 
 def arm_name(arm: ScoredArm) -> str:
     """Return an arm's label; zero-shot designs of True Slush are at home there, so 'zero-shot' is left out."""
-    label = ENVIRONMENTS[arm[0]].label
+    label = environment_kind(arm[0]).label
     return label if arm == BEST else f"{label} {QUANTITIES[arm[1]]}"
 
 
@@ -59,5 +59,5 @@ def sample(trials: Sequence[ScoredTrial], arm: ScoredArm, depth: float) -> Sampl
 def arms(trials: Sequence[ScoredTrial]) -> list[tuple[EnvironmentName, float]]:
     """Return the environments and depths that there are, in the order of listings, the greatest depth first."""
     known = {(one.environment, one.depth) for one in trials}
-    depths = sorted({depth for _, depth in known}, reverse=True)
-    return [(name, depth) for depth in depths for name in ENVIRONMENTS if (name, depth) in known]
+    depths, names = sorted({depth for _, depth in known}, reverse=True), in_order(name for name, _ in known)
+    return [(name, depth) for depth in depths for name in names if (name, depth) in known]

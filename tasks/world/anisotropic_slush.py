@@ -75,10 +75,5 @@ register(
         symbol="Eₐ",
         evolved="in Anisotropic Slush",
         about="Slush with different drag along and across a link.",
-        marker="p",
-        color="#2f7f4f",
-        adapted_color="#b3d9c1",
-        dark_color="#5fb884",
-        dark_adapted_color="#24563a",
     )
 )

@@ -16,11 +16,6 @@ register(
         symbol="E′",
         evolved="on Dry Land",
         about="The simulator without slush: the same ground, surrounded by air.",
-        marker="s",
-        color="#1d6b3c",
-        adapted_color="#9ed3a9",
-        dark_color="#4fae73",
-        dark_adapted_color="#26583a",
         order=2,
     )
 )

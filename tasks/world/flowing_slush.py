@@ -47,10 +47,5 @@ register(
         symbol="E⃗",
         evolved="in Flowing Slush",
         about="Slush that flows steadily along x.",
-        marker="h",
-        color="#8a5a2b",
-        adapted_color="#dcc5ad",
-        dark_color="#c08f5d",
-        dark_adapted_color="#5f4023",
     )
 )

@@ -121,11 +121,6 @@ register(
         about="Slushes of random density and drag, whose ranges are settings: domain randomisation. It knows the kind "
         "of fluid, as the networks do not, and has seen no throw. Fitness is the mean over these slushes minus their "
         "disagreement.",
-        marker="P",
-        color="#b5304f",
-        adapted_color="#eeb4c0",
-        dark_color="#e5708a",
-        dark_adapted_color="#6d2a3a",
         order=7,
     )
 )

@@ -2,15 +2,15 @@
 
 To add a medium, write one file in ``tasks/world``, as docs/extending.md shows; the package imports every module that it
 contains. The true medium is the one that the registration of ``true_slush`` names: networks learn it, and champions are
-transferred to it.
+transferred to it. A study's own learners are not registered: :func:`tasks.world.environment_kind` names them.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Any, TypeAlias
 
-from tasks.parameters import Parameters, RegisteredNames
+from tasks.parameters import Parameters
 from tasks.world.environment import Environment
 from tasks.world.medium import EnsembleMedium
 
@@ -24,17 +24,11 @@ class EnvironmentKind:
     settings_group: str | None = None  # group of settings that states the medium's parameters
     settings: type[Parameters] | None = None  # class of these settings, which is also the medium
     for_study: Callable[[Any, int], Any] = lambda settings, seed: settings  # these settings in a study with a seed
-    networks: Literal["none", "one", "all"] = "none"  # trained ensemble members that the medium consists of
-    learns_from: str = "throws"  # settings group of the throws that these networks learn from
+    learned: bool = False  # whether the medium consists of trained networks
     label: str
     symbol: str  # symbol in the paper
     evolved: str  # phrase that completes "evolved ..."
     about: str = ""  # what it is, in a few sentences, for a page; empty if its label says it
-    marker: str  # Matplotlib marker, so that colour is never the only difference
-    color: str
-    adapted_color: str  # colour of the same arm once its controllers have adapted to True Slush
-    dark_color: str  # colour on a dark page
-    dark_adapted_color: str
     order: int = 100  # place in every listing; ties are listed by name
 
     @property
@@ -50,14 +44,14 @@ class EnvironmentKind:
         Args:
             depth: depth of the ground below the surface [m].
             settings: settings groups by name, as models or as dictionaries.
-            ensemble: trained networks; required if ``networks`` is not "none".
+            ensemble: trained networks; required if ``learned``.
 
         Raises:
             ValueError: the environment requires networks and there are none.
             KeyError: the medium's settings group is missing.
         """
         build: Callable[..., Environment] = self.build
-        if self.networks != "none":
+        if self.learned:
             if ensemble is None:
                 raise ValueError(f"{self.name}: expected an ensemble of trained networks, got None")
             return build(depth, ensemble)
@@ -92,4 +86,4 @@ def settings_groups() -> dict[str, type[Parameters]]:
     }
 
 
-EnvironmentName = Annotated[str, RegisteredNames(ENVIRONMENTS)]  # name of a registered environment
+EnvironmentName: TypeAlias = str  # name of a registered environment, or of a learner of the study

@@ -1,14 +1,16 @@
 """Residual Slush: Dry Land plus the velocity changes that residual networks predict. Paper, "Residual Physics".
 
-Each arm names the throws that its networks learn from: the paper's, or throws that are designed for robots.
+The arms of the paper and of throws that are designed for robots are registered, so that they have names of their own
+for readers. A study's own learners are called by their names.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
 from tasks.world.environment import Environment
 from tasks.world.medium import EnsembleMedium
-from tasks.world.registry import EnvironmentKind, register
+from tasks.world.registry import ENVIRONMENTS, EnvironmentKind, register
 
 
 @dataclass(frozen=True)
@@ -34,18 +36,13 @@ register(
     EnvironmentKind(
         name="residual_slush",
         build=ResidualSlush,
-        networks="all",
+        learned=True,
         label="Residual Slush",
         symbol="Ê",
         evolved="in Residual Slush",
         about="Dry Land with an ensemble of small neural networks. They learned the residual, which is the difference "
         "between True Slush and Dry Land, from links thrown into True Slush. Fitness is the mean over the members "
         "minus their disagreement, so that a robot has to do well under all of them.",
-        marker="^",
-        color="#dd7700",
-        adapted_color="#fbcb8f",
-        dark_color="#f39a37",
-        dark_adapted_color="#7c4a12",
         order=3,
     )
 )
@@ -53,17 +50,12 @@ register(
     EnvironmentKind(
         name="single_member",
         build=ResidualSlush,
-        networks="one",
+        learned=True,
         label="Single member",
         symbol="Ê₁",
         evolved="with a single member",
         about="Dry Land with a single network. Robots can exploit its errors: they evolve to use hallucinated "
         "dynamics.",
-        marker="D",
-        color="#7d4aa5",
-        adapted_color="#cfb6e2",
-        dark_color="#b58bdb",
-        dark_adapted_color="#573577",
         order=4,
     )
 )
@@ -71,18 +63,12 @@ register(
     EnvironmentKind(
         name="designed_throws",
         build=ResidualSlush,
-        networks="all",
-        learns_from="designed_throws",
+        learned=True,
         label="Designed throws",
         symbol="Ê*",
         evolved="in Residual Slush learned from designed throws",
         about="Residual Slush whose networks learned from throws that are designed for robots: they cover the speeds, "
         "lengths and heights of robots' links evenly, with as many transitions.",
-        marker="v",
-        color="#b8860b",
-        adapted_color="#ead9a0",
-        dark_color="#d9b13b",
-        dark_adapted_color="#5f4a12",
         order=5,
     )
 )
@@ -90,17 +76,30 @@ register(
     EnvironmentKind(
         name="designed_single_member",
         build=ResidualSlush,
-        networks="one",
-        learns_from="designed_throws",
+        learned=True,
         label="Designed, single",
         symbol="Ê*₁",
         evolved="with a single member learned from designed throws",
         about="Dry Land with a single network that learned from designed throws.",
-        marker="d",
-        color="#5b6ea8",
-        adapted_color="#c3cbe6",
-        dark_color="#93a5de",
-        dark_adapted_color="#3a4672",
         order=6,
     )
 )
+
+
+def environment_kind(name: str) -> EnvironmentKind:
+    """Return a registered environment; any other name is that of a study's own learner."""
+    return ENVIRONMENTS.get(name) or EnvironmentKind(
+        name=name,
+        build=ResidualSlush,
+        learned=True,
+        label=name.replace("_", " ").capitalize(),
+        symbol="Ê",
+        evolved=f"with the networks of {name.replace('_', ' ')}",
+        about="Residual Slush as this learner of the study knows it; the settings say what it learned from.",
+        order=6,
+    )
+
+
+def in_order(environments: Iterable[str]) -> list[str]:
+    """Return names of environments in the order of listings, each once."""
+    return sorted(set(environments), key=lambda name: (environment_kind(name).order, name))

@@ -139,11 +139,6 @@ register(
         evolved="in True Slush",
         about="The target environment: hard ground under slush of some depth. Robots that evolve here are the "
         "reference for all others.",
-        marker="o",
-        color="#1c6fb8",
-        adapted_color="#a6cbe8",
-        dark_color="#4d9de0",
-        dark_adapted_color="#27527a",
         order=1,
     )
 )

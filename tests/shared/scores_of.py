@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from pipeline.config.settings import Settings
 from tasks.analysis.scores import ScoredTrial
 
 
@@ -28,7 +29,8 @@ def study_of(zero_shot, **others):
     """Return what an analysis of scores reads of a study."""
     trials = trials_of(zero_shot, **others)
     rng = lambda *identity: np.random.default_rng(0)  # noqa: E731
-    settings = SimpleNamespace(throw_groups=(), assessed_depth=9.0, deviation="population")
+    learners = {name: learner for name, _ in zero_shot if (learner := Settings().learner(name))}
+    settings = SimpleNamespace(data_sets=(), learners=learners, assessed_depth=9.0, deviation="population")
     return SimpleNamespace(trials=trials, rng=rng, settings=settings)
 
 

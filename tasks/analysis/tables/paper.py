@@ -92,8 +92,8 @@ def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
 def paper(study: StudyData) -> list[PaperRow]:
     """Compare every number and statement of the paper that this run measured."""
     trials, rng, settings = study.trials, study.rng("paper"), study.settings
-    at_depth = settings.throw_groups and settings.assessed_depth == DEPTH
-    accuracy = accuracy_of(study, settings.throw_groups[0]) if at_depth else None
+    at_depth = settings.data_sets and settings.assessed_depth == DEPTH
+    accuracy = accuracy_of(study, settings.data_sets[0]) if at_depth else None
     numbers = [*_means(trials), *_ratios(trials, rng), *_variation(trials)]
     return [*numbers, *(_figures(accuracy) if accuracy else ()), *_statements(trials)]
 

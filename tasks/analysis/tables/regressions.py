@@ -17,7 +17,8 @@ from tasks.analysis.paper import Figure
 from tasks.analysis.registry import Assessed, StudyData, analysis, column
 from tasks.arrays import Bools, Float64, Int64
 from tasks.evolution import Deviation, penalised_mean
-from tasks.world import ENVIRONMENTS
+from tasks.residual import ensemble_of_data_set
+from tasks.world import environment_kind
 
 MEAN, CAUTIOUS = "mean", "mean - 1 sd"  # the paper's two aggregates, μ and μ − σ
 _METRICS = {CAUTIOUS: "mean_less_1_sd"}
@@ -26,10 +27,8 @@ _HIGHEST_R = 1 - 1e-12  # of Fisher's transformation, which is infinite at 1
 
 
 def ensemble_name(group: str) -> str:
-    """Name the ensemble that learned from a group of throws."""
-    return next(
-        (kind.label for kind in ENVIRONMENTS.values() if (kind.networks, kind.learns_from) == ("all", group)), group
-    )
+    """Name the ensemble that learned from a data set."""
+    return environment_kind(ensemble_of_data_set(group)).label
 
 
 def predictor_name(name: str) -> str:
@@ -41,7 +40,7 @@ def predictor_name(name: str) -> str:
 class Regression:
     """True displacement = intercept + slope · predicted displacement, over designs that diverged in neither."""
 
-    learned_from: str = column("ensemble", form=ensemble_name, meaning="Settings group of the throws it learned from.")
+    learned_from: str = column("ensemble", form=ensemble_name, meaning="Data set that it learned from.")
     name: str = column("by", form=predictor_name, meaning="A member, their mean μ, or μ less a deviation over members.")
     n: int = column("designs", form="{:,}", shown=False)
     n_left_out: int = column("left out", form="{:,}", shown=False, meaning="Designs that diverged in either.")
@@ -80,15 +79,15 @@ def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
     metrics=_metrics,
 )
 def regressions(study: StudyData) -> list[Regression]:
-    """Assess the ensembles of all groups of throws."""
-    found = (accuracy_of(study, group) for group in study.settings.throw_groups)
+    """Assess the ensembles of all data sets."""
+    found = (accuracy_of(study, data_set) for data_set in study.settings.data_sets)
     return [row for one in found if one is not None for row in one.regressions]
 
 
-def accuracy_of(study: StudyData, group: str) -> Accuracy | None:
-    """Assess the ensemble that learned from a group of throws, if any design was."""
-    assessed, rng = study.assessed(group), study.rng("accuracy", group)
-    return None if assessed is None else accuracy(assessed, group, study.settings.deviation, rng)
+def accuracy_of(study: StudyData, data_set: str) -> Accuracy | None:
+    """Assess the ensemble that learned from a data set, if any design was."""
+    assessed, rng = study.assessed(data_set), study.rng("accuracy", data_set)
+    return None if assessed is None else accuracy(assessed, data_set, study.settings.deviation, rng)
 
 
 def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64]:

@@ -8,7 +8,6 @@ from small_study import n_items
 
 from pipeline.cluster import session
 from pipeline.commands.garbage import find_garbage, remove_garbage
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.errors import PuddleError
 from pipeline.store.store import Store, StudyRecord
 
@@ -83,7 +82,7 @@ def test_items_made_with_earlier_networks_are_garbage_before_the_new_ones_exist(
         chain
         for stage in ("evolve", "transfer")
         for trial, chain in upstream[stage].done.items()
-        if trial.environment in RESIDUAL_ENVIRONMENTS
+        if settings.learner(trial.environment)
     ]
     assert set(garbage.items) >= {(one.stage, one.key) for chain in old for one in chain}
     remove_garbage(store, garbage)

@@ -14,6 +14,7 @@ from PIL import Image
 
 from pipeline.report.drawing import FIGURE_WIDTH, PAPER_MARK, Drawing
 from pipeline.report.page import FIGURES, StudyPage, draw_all
+from pipeline.report.palette import LOOKS
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import transfer_rows
 from tasks.world import ENVIRONMENTS
@@ -64,14 +65,16 @@ def test_figures_for_print_are_fine_and_their_text_is_text(study, monkeypatch):
 
 def test_the_arms_have_their_colours_and_names_and_the_paper_is_at_nine_metres(study, monkeypatch):
     def arms(depth):
+        grid = study.settings.grid.model_copy(update={"environments": tuple(ENVIRONMENTS)})
+        whole = replace(study, settings=study.settings.model_copy(update={"grid": grid}))
         return with_trials(
-            study, [ScoredTrial(name, depth, 0, 0, zero_shot=2.0, adapted=3.0, status="ok") for name in ENVIRONMENTS]
+            whole, [ScoredTrial(name, depth, 0, 0, zero_shot=2.0, adapted=3.0, status="ok") for name in ENVIRONMENTS]
         )
 
     deep = draw("transfer_at_depth", arms(9.0), monkeypatch)
-    for style in ENVIRONMENTS.values():
-        assert style.color in deep.svg.decode() and set(style.label.split()) <= set(texts(deep))
-    assert ENVIRONMENTS["residual_slush"].adapted_color in deep.svg.decode()
+    for kind in ENVIRONMENTS.values():
+        assert LOOKS[kind.name].color in deep.svg.decode() and set(kind.label.split()) <= set(texts(deep))
+    assert LOOKS["residual_slush"].adapted in deep.svg.decode()
     shallow = draw("transfer_at_depth", arms(1.0), monkeypatch)
     assert PAPER_MARK in deep.svg.decode() and PAPER_MARK not in shallow.svg.decode()
 

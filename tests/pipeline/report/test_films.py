@@ -12,6 +12,7 @@ from PIL import Image, ImageColor
 
 from pipeline.report.camera import FILM_FPS, LANE_HEIGHT, PICTURE_WIDTH
 from pipeline.report.films import GIF_EVERY, pictures, render_gif, render_mp4
+from pipeline.report.palette import LOOKS
 from pipeline.report.robot_view import (
     GROUND_EDGE,
     GROUND_FILL,
@@ -23,7 +24,6 @@ from pipeline.report.robot_view import (
     mix,
     robot_colors,
 )
-from tasks.world import ENVIRONMENTS
 
 
 def count(picture, color):
@@ -40,14 +40,15 @@ def rocking(replay):
 
 
 def test_two_robots_above_one_another(slush_replay, dry_replay):
-    picture = Image.open(io.BytesIO(render_gif([slush_replay, dry_replay])))
+    color = LOOKS["dry_land"].color
+    picture = Image.open(io.BytesIO(render_gif([slush_replay, replace(dry_replay, color=color)])))
     assert picture.size == (PICTURE_WIDTH, 2 * LANE_HEIGHT)
     assert picture.n_frames == int(slush_replay.duration * FILM_FPS / GIF_EVERY) + 1  # the longer of the two
     assert (picture.info["duration"], picture.info["loop"]) == (1000 * GIF_EVERY / FILM_FPS, 0)
     upper, lower = (picture.crop((0, top, PICTURE_WIDTH, top + LANE_HEIGHT)) for top in (0, LANE_HEIGHT))
     assert count(upper, SLUSH) > 0.2 * PICTURE_WIDTH * LANE_HEIGHT and count(lower, SLUSH) == 0
     assert count(lower, GROUND_FILL) > 0.05 * PICTURE_WIDTH * LANE_HEIGHT
-    assert count(upper, SKY) > 0 < count(lower, SKY) and count(lower, ENVIRONMENTS["dry_land"].color) > 200
+    assert count(upper, SKY) > 0 < count(lower, SKY) and count(lower, color) > 200
 
 
 def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):
@@ -56,7 +57,7 @@ def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):
     still = replace(slush_replay, frames=frames, length_scale=np.full(6, 2.0), depth=1.5)
     picture = next(pictures([still]))
     colors = np.asarray(picture).astype(int)
-    root = robot_colors(still.environment)[0]
+    root = robot_colors(still.color)[0]
     veiled = np.abs(colors - mix(root, SLUSH, SLUSH_OVER_ROBOT)).max(axis=2) <= 1
     assert count(picture, root) > 100 < veiled.sum()
     below = colors[np.nonzero(veiled)[0].max() + 4 :, PICTURE_WIDTH // 2]
@@ -77,7 +78,7 @@ def test_hallucinated_slush_has_a_dashed_surface(slush_replay):
 def test_the_camera_keeps_a_robot_in_view_however_far_and_high_it_goes(dry_replay):
     frames = dry_replay.frames + np.linspace([0.0, 0.0, 0.0], [200.0, 60.0, 0.0], len(dry_replay.frames))[:, None]
     *_, last = pictures([replace(dry_replay, frames=frames, environment="", title="<b>Ê′ – 日本</b>" * 9)])
-    body, (root, others, _) = last.crop((0, 50, PICTURE_WIDTH, LANE_HEIGHT)), robot_colors("")
+    body, (root, others, _) = last.crop((0, 50, PICTURE_WIDTH, LANE_HEIGHT)), robot_colors(dry_replay.color)
     assert count(body, root) + count(body, others) > 100
 
 

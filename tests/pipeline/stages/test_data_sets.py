@@ -23,12 +23,14 @@ def trial(environment, index):
 
 
 def test_trials_take_turns_over_the_replicates(settings_with):
-    settings = settings_with()
-    assert networks_of(settings, trial("true_slush", 1)) == []
+    def networks(environment, index):
+        return networks_of(trial(environment, index), settings_with().learner(environment))
+
+    assert networks("true_slush", 1) == []
     for index in range(3):
         own = DataSetId("designed_throws", index % 2)
-        assert networks_of(settings, trial("designed_throws", index)) == [NetworkId(own, 0), NetworkId(own, 1)]
-        assert networks_of(settings, trial("designed_single_member", index)) == [NetworkId(own, index // 2)]
+        assert networks("designed_throws", index) == [NetworkId(own, 0), NetworkId(own, 1)]
+        assert networks("designed_single_member", index) == [NetworkId(own, index // 2)]
 
 
 def test_a_replicate_changes_no_identity_of_the_first(settings_with):

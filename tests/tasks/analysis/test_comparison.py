@@ -9,7 +9,7 @@ from scores_of import spread, study_of, trials_of
 
 from tasks.analysis.comparison import compare, difference, holm, judge, written_arm
 from tasks.analysis.estimates import Estimate, Sample, error_of, mean_of
-from tasks.analysis.tables.contrasts import CONTRASTS, contrasts
+from tasks.analysis.tables.contrasts import contrasts
 
 E, DRY = ("true_slush", "zero_shot"), ("dry_land", "zero_shot")
 
@@ -108,8 +108,20 @@ def test_contrasts_are_made_at_every_depth_with_one_family():
     levels = {"true_slush": 13, "dry_land": 5, "residual_slush": 11}
     values = {(arm, depth): draw.normal(level, 1, 4) for arm, level in levels.items() for depth in (0.5, 9.0)}
     found = contrasts(study_of(values, adapted=values))
-    n_of_arms = sum({a[0], b[0]} <= set(levels) for a, b in CONTRASTS)
-    assert len(found) == 2 * n_of_arms and [row.p_holm for row in found] == holm([row.p for row in found])
+    assert len(found) == 2 * 2 * 3 and [row.p_holm for row in found] == holm([row.p for row in found])
+
+
+def test_a_learner_is_compared_with_the_best_with_media_and_with_the_ensemble():
+    arms = ("true_slush", "dry_land", "residual_slush", "single_member", "designed_throws", "designed_single_member")
+    values = {(arm, 9.0): [float(k), k + 1.0] for k, arm in enumerate(arms)}
+    pairs = {(row.a, row.b.removesuffix("/zero_shot")) for row in contrasts(study_of(values))}
+    assert pairs == {
+        *((f"{arm}/zero_shot", "true_slush") for arm in arms[1:]),
+        *((f"{arm}/zero_shot", "dry_land") for arm in arms[2:]),
+        ("single_member/zero_shot", "residual_slush"),
+        ("designed_throws/zero_shot", "residual_slush"),
+        ("designed_single_member/zero_shot", "designed_throws"),
+    }
 
 
 def test_an_arm_is_written_as_readers_know_it():

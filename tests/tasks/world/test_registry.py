@@ -4,9 +4,18 @@ import dataclasses
 import re
 
 import pytest
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
-from tasks.world import ENVIRONMENTS, DryLand, EnvironmentName, RandomisedSlushes, ResidualSlush, Slush, TrueSlush
+from tasks.world import (
+    ENVIRONMENTS,
+    DryLand,
+    RandomisedSlushes,
+    ResidualSlush,
+    Slush,
+    TrueSlush,
+    environment_kind,
+    in_order,
+)
 from tasks.world.anisotropic_slush import AnisotropicSlush
 from tasks.world.flowing_slush import FlowingSlush
 from tasks.world.registry import register, settings_groups
@@ -18,15 +27,6 @@ class FlatEnsemble(Slush):
     @property
     def n_members(self) -> int:
         return 1
-
-
-def test_settings_accept_registered_names_only() -> None:
-    names = TypeAdapter(EnvironmentName)
-    assert [names.validate_python(name) for name in ENVIRONMENTS] == list(ENVIRONMENTS)
-    assert names.json_schema() == {"enum": list(ENVIRONMENTS), "type": "string"}
-    expected = f"should be {', '.join(map(repr, list(ENVIRONMENTS)[:-1]))} or 'flowing_slush'"
-    with pytest.raises(ValidationError, match=expected):
-        names.validate_python("tar_pit")
 
 
 def test_an_environment_is_built_from_its_settings_group() -> None:
@@ -44,14 +44,21 @@ def test_an_environment_is_built_from_its_settings_group() -> None:
         ENVIRONMENTS["true_slush"].environment(3.0, {"slush": {"viscosity": 2.0}})
 
 
-@pytest.mark.parametrize("name", ["residual_slush", "single_member"])
+@pytest.mark.parametrize("name", ["residual_slush", "single_member", "fifty_throws"])
 def test_an_environment_of_networks_requires_an_ensemble(name: str) -> None:
     ensemble = FlatEnsemble()
-    built = ENVIRONMENTS[name].environment(3.0, {}, ensemble)
+    built = environment_kind(name).environment(3.0, {}, ensemble)
     assert built == ResidualSlush(3.0, ensemble)
     assert built.is_ensemble and built.n_members == 1
     with pytest.raises(ValueError, match=f"{name}: expected an ensemble of trained networks, got None"):
-        ENVIRONMENTS[name].environment(3.0, {})
+        environment_kind(name).environment(3.0, {})
+
+
+def test_a_learner_of_a_study_is_called_by_its_name() -> None:
+    assert environment_kind("fifty_throws").label == "Fifty throws" and environment_kind("fifty_throws").learned
+    assert [environment_kind(name) for name in ENVIRONMENTS] == list(ENVIRONMENTS.values())
+    names = ["fifty_throws", "randomised_slush", "true_slush", "fifty_throws"]
+    assert in_order(names) == ["true_slush", "fifty_throws", "randomised_slush"]
 
 
 def test_a_name_is_registered_once() -> None:

@@ -20,7 +20,7 @@ class PlantedStudy:
     champions: list[Champion]
     planted: object
 
-    settings = SimpleNamespace(deviation="population")
+    settings = SimpleNamespace(learners={}, deviation="population")
 
     def ensemble(self, champion=None):
         return self.planted

@@ -139,7 +139,7 @@ def test_figures_of_the_networks_are_compared_at_the_papers_depth():
     trial = [f"true_slush/{k}" for k in np.arange(200) % 20]
     assessed = Assessed(0.5 * true + draw.normal(0, 2, (8, 200)), true, trial, np.zeros(200, int))
     study = study_of({})
-    study.settings.throw_groups, study.assessed = ("throws",), lambda group: assessed
+    study.settings.data_sets, study.assessed = ("throws",), lambda group: assessed
     rows = rows_of(study)
     assert len(rows) == len(RANGES) + len(AGGREGATES)
     found = accuracy(assessed, "throws", "population", np.random.default_rng(0))

@@ -115,7 +115,7 @@ def test_every_ensemble_is_assessed_and_the_main_one_gives_the_metrics():
     x, y = noisy(60, 0.5, 1.0)
     assessed = Assessed(np.stack((x, x + 0.1)), y, [str(k) for k in range(60)], np.zeros(60, int))
     study = SimpleNamespace(
-        settings=SimpleNamespace(throw_groups=("throws", "designed_throws", "none"), deviation="population"),
+        settings=SimpleNamespace(data_sets=("throws", "designed_throws", "none"), deviation="population"),
         assessed=lambda group: None if group == "none" else assessed,
         rng=lambda *identity: np.random.default_rng(0),
     )

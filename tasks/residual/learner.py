@@ -1,0 +1,83 @@
+"""Learners: the arms of a study whose robots evolve in networks, and what these networks learn from.
+
+A study names its learners in the settings group ``learners``. Those of the paper, and of throws that are designed for
+robots, are built in.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from pydantic import Field, field_serializer
+
+from tasks.parameters import Parameters, later_choice
+from tasks.residual.hyperparameters import Architecture, Training
+from tasks.residual.throws import Throws
+
+GroupT = TypeVar("GroupT", bound=Parameters)
+
+
+def stated(group: Parameters) -> dict[str, Any]:
+    """Return the settings of a group that were given, even where they are the defaults."""
+    return {name: value for name, value in group if name in group.model_fields_set}
+
+
+def completed(group: GroupT, given: Parameters) -> GroupT:
+    """Return a settings group, with the settings that were given of another in place of its own."""
+    changes = stated(given)
+    return type(group).model_validate(dict(group) | changes) if changes else group
+
+
+def _says_nothing(group: Parameters) -> bool:
+    return not group.model_fields_set
+
+
+class LearnerSettings(Parameters):
+    """A learner: an arm of the study with its own networks. What it does not state is as in the study's groups."""
+
+    throws: Throws = Field(default=Throws(), exclude_if=_says_nothing)
+    """Its throws, where they differ from the group throws."""
+    network: Architecture = Field(default=Architecture(), exclude_if=_says_nothing)
+    """Its networks, where they differ from the group network."""
+    training: Training = Field(default=Training(), exclude_if=_says_nothing)
+    """Their training, where it differs from the group training."""
+    n_members: int | None = later_choice(None, gt=0, le=64)
+    """Number of networks; null for ensemble.n_members."""
+    single: str | None = later_choice(None)
+    """Another learner, of whose networks each trial uses one by itself; null for an ensemble of its own."""
+
+    @field_serializer("throws", "network", "training")
+    def _stated(self, group: Parameters) -> dict[str, Any]:
+        return stated(group)
+
+
+BUILT_IN: Mapping[str, LearnerSettings] = {
+    "residual_slush": LearnerSettings(),
+    "single_member": LearnerSettings(single="residual_slush"),
+    "designed_throws": LearnerSettings(),
+    "designed_single_member": LearnerSettings(single="designed_throws"),
+}
+"""The learners of every study; single ones evolve at grid.single_member_depths."""
+
+PAPERS_SINGLE = "single_member"  # which every study has at these depths
+
+THROWS_GROUPS: Mapping[str, str] = {"residual_slush": "throws", "designed_throws": "designed_throws"}
+"""Settings groups of the throws of built-in learners, by which their data sets are called."""
+
+
+def ensemble_of_data_set(data_set: str) -> str:
+    """Return the name of the learner whose ensemble learns from a data set."""
+    return next((name for name, group in THROWS_GROUPS.items() if group == data_set), data_set)
+
+
+@dataclass(frozen=True)
+class Learner:
+    """A learner of a study, in full."""
+
+    name: str
+    data_set: str  # name of its throws and of the ensemble that learns from them
+    is_single: bool  # whether each trial uses one network by itself, instead of the ensemble
+    throws: Throws
+    network: Architecture
+    training: Training
+    n_members: int  # of the ensemble
