@@ -154,17 +154,17 @@ def read_predictions(files: Sequence[Files]) -> Columns:
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Count designs, and those that diverged."""
-    shares = [{PREDICTIONS: store.read(chain[0], PREDICTIONS)} for chain in results.done.values()]
+    shares = [read_predictions([{PREDICTIONS: store.read(share, PREDICTIONS)}]) for (share,) in results.done.values()]
     if not shares:
         return Summary(lines=["no designs: they take networks, and trials in True Slush or on Dry Land"])
-    table = read_predictions(shares)
-    n_diverged = int(divergence.somewhere(table).sum())
-    n = len(table["true"])
+    n_diverged = sum(int(divergence.somewhere(share).sum()) for share in shares)
+    n = sum(len(share["true"]) for share in shares)
+    members = " or ".join(f"{k}" for k in sorted({share["predicted"].shape[1] for share in shares}))
     ensembles = f" of {len(settings.ensembles)} ensembles" if len(settings.ensembles) > 1 else ""
     return Summary(
         lines=[
             f"{n} designs of {len(shares)} trials at {settings.assessed_depth:g} m, in True Slush and under "
-            f"{table['predicted'].shape[1]} members{ensembles}; {n_diverged} diverged"
+            f"{members} members{ensembles}; {n_diverged} diverged"
         ],
         metrics={"n_designs": n, "n_diverged": n_diverged},
     )

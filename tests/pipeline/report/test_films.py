@@ -54,7 +54,7 @@ def test_two_robots_above_one_another(slush_replay, dry_replay):
 def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):
     """A robot at rest, upright and half under slush; the start's line goes down behind it, to the ground."""
     frames = np.tile([0.0, 0.3, 0.0], (3, 6, 1))
-    still = replace(slush_replay, frames=frames, length_scale=np.full(6, 2.0), depth=1.5)
+    still = replace(slush_replay, frames=frames, length_scale=np.full(6, 2.0), depth=1.5, color=LOOKS["dry_land"].color)
     picture = next(pictures([still]))
     colors = np.asarray(picture).astype(int)
     root = robot_colors(still.color)[0]

@@ -105,7 +105,7 @@ def test_the_first_screen_has_the_result_the_bars_and_the_best_arm_in_its_film(h
         ("Single member", "3.0", ""),
     ]
     # From −1 to 13.6 m: 0 m is at 1 / 14.6 of the width, and 12 m take 12 / 14.6.
-    assert 'class="true_slush" style="left: 6.8%; width: 82.2%"' in first
+    assert 'style="background: var(--arm-true_slush); left: 6.8%; width: 82.2%"' in first
     assert (
         "In 9 m of True Slush, zero-shot champions moved on average 12.0 m if they evolved in True Slush, "
         "−1.0 m (−8 %) if they evolved on Dry Land, 9.0 m (75 %) if they evolved in Residual Slush"

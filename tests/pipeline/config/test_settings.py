@@ -1,0 +1,70 @@
+"""Learners that a study lists: each differs from the study's own groups in what it states, and mistakes are named."""
+
+import json
+
+import pytest
+
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+
+LISTED = """name: mine
+throws: {n_throws: 30}
+network: {width: 32, form: wetted}
+learners:
+  fifty: {throws: {n_throws: 500}, network: {form: plain}, n_members: 3}
+  one_of_fifty: {single: fifty}
+grid: {environments: [true_slush, residual_slush, fifty, one_of_fifty], single_member_depths: []}
+"""
+
+
+def test_a_learner_is_the_study_s_groups_with_what_it_states():
+    """Values that it states count even where they are the defaults, also once the settings have been recorded."""
+    settings = parse(Settings, LISTED, name="mine")
+    written = settings.model_dump(mode="json")
+    stated = {"throws": {"n_throws": 500}, "network": {"form": "plain"}, "n_members": 3}
+    assert written["learners"] == {"fifty": stated, "one_of_fifty": {"single": "fifty"}}
+    for same in (settings, Settings.model_validate(json.loads(json.dumps(written)))):
+        fifty, one, usual = (same.learner(name) for name in ("fifty", "one_of_fifty", "residual_slush"))
+        assert (fifty.throws.n_throws, fifty.network.form, fifty.network.width, fifty.n_members) == (
+            500,
+            "plain",
+            32,
+            3,
+        )
+        assert (usual.throws, usual.network, usual.n_members) == (settings.throws, settings.network, 8)
+        assert fifty.training == usual.training == settings.training
+        assert (one.data_set, one.is_single, one.network) == ("fifty", True, fifty.network)
+        assert list(same.ensembles) == ["throws", "fifty"] and same.learner("true_slush") is None
+        assert all(same.is_adapted(name) for name in same.grid.environments)
+    assert "learners" not in Settings().model_dump(mode="json")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["learners={a: {}, a: {}}"], "'a' appears twice"),
+        (["learners.dry_land={}"], "learners.dry_land: the name is taken: expected one of its own, got 'dry_land'"),
+        (["learners.throws={}"], "learners.throws: the name is taken"),
+        (["learners.Fifty={}"], "learners.Fifty.[key]: expected text of the pattern"),
+        (["learners=[a]"], 'learners: expected a group of settings, got ["a"]'),
+        (["learners.a.throws=null"], "learners.a.throws: expected a group of settings, got null"),
+        (["learners.a.throws.n_throws=0"], "learners.a.throws.n_throws: expected a number greater than or equal to 2"),
+        (["learners.a.network.form=wet"], "learners.a.network.form: expected 'plain' or 'wetted', got \"wet\""),
+        (["learners.a.network.frm=plain"], "learners.a.network.frm: unknown setting; did you mean form?"),
+        (["learners.a.n_members=0"], "learners.a.n_members: expected a number greater than 0, got 0"),
+        (["learners.a.single=b"], "learners.a.single: expected a learner with an ensemble, one of residual_slush"),
+        (["learners.a={single: residual_slush, n_members: 3}"], "expected nothing else, got n_members"),
+        (
+            ["throws.max_velocity=5", "learners.a.throws.design=robots"],
+            "learners.a, with the study's groups: design is",
+        ),
+        (["learners.a.throws.source=tracks"], "learners.a.throws.source is tracks, but throws.source is not"),
+        (["grid.environments=[fifty]"], "grid.environments: expected media and learners, any of true_slush"),
+        (["transfer.adapted_environments=[mud]"], "transfer.adapted_environments: expected media and learners"),
+    ],
+)
+def test_a_mistake_is_named(overrides, said):
+    with pytest.raises(PuddleError) as refused:
+        parse(Settings, "name: mine", name="mine.yaml", overrides=overrides)
+    assert said in str(refused.value) and "\n" not in str(refused.value)
