@@ -12,7 +12,7 @@ from pipeline.report.films import render_gif, render_mp4
 from pipeline.report.page import render_robot
 from pipeline.stages import environments
 from pipeline.stages.collect import COLLECT
-from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_ids, main_data_set
+from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_ids
 from pipeline.stages.replays import replay_in
 from pipeline.stages.train import TRAIN
 from pipeline.store import disk
@@ -189,7 +189,7 @@ def _optional_networks(options: SettingsOptions, settings: Settings) -> _Network
     """Return the main ensemble, or nothing if the store has none for these settings."""
     store = options.find_store() if settings.needs_ensemble else None
     try:
-        return {} if store is None else _networks(settings, store, main_data_set(settings))
+        return {} if store is None else _networks(settings, store, data_sets(settings)[0])
     except MissingInputs:
         return {}
 

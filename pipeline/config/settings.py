@@ -273,19 +273,15 @@ class Settings(Parameters):
 
     def _check_learners(self) -> None:
         """Refuse learners that contradict the study's groups, and arms of neither a medium nor a learner."""
+        ensembles = [name for name, one in {**BUILT_IN, **self.learners}.items() if one.single is None]
         for name, given in self.learners.items():
             if name in (*ENVIRONMENTS, *THROWS_GROUPS.values()):
                 raise ValueError(f"learners.{name}: the name is taken: expected one of its own, got {name!r}")
-            ensembles = [one for one, other in {**BUILT_IN, **self.learners}.items() if other.single is None]
-            if given.single is not None and given.single not in ensembles:
+            others = [one for one in stated(given) if one != "single"]
+            if given.single is not None and (others or given.single not in ensembles):
                 raise ValueError(
-                    f"learners.{name}.single: expected a learner with an ensemble, one of {', '.join(ensembles)}, got "
-                    f"{given.single!r}"
-                )
-            if given.single is not None and len(stated(given)) > 1:
-                raise ValueError(
-                    f"learners.{name} states single, and so has the networks of {given.single}: expected nothing else, "
-                    f"got {', '.join(one for one in stated(given) if one != 'single')}"
+                    f"learners.{name}.single is {given.single!r}, beside {', '.join(others) or 'nothing'}: expected "
+                    f"nothing but a learner with an ensemble, one of {', '.join(ensembles)}"
                 )
             try:
                 self.learner(name)

@@ -68,17 +68,6 @@ def data_sets(settings: Settings) -> list[DataSetId]:
     return [DataSetId(group, k) for group in settings.ensembles for k in range(settings.replicates)]
 
 
-def main_data_set(settings: Settings) -> DataSetId:
-    """Return the data set of the ensemble that predictions are assessed with where a trial has none of its own.
-
-    Raises:
-        ValueError: no trial of the study needs networks.
-    """
-    if not settings.needs_ensemble:
-        raise ValueError(f"study {settings.name} has no data set, expected a trial that needs networks")
-    return data_sets(settings)[0]
-
-
 def data_set_of(trial: TrialId, learner: Learner | None, group: str) -> DataSetId:
     """Return the data set that a trial uses: that of its own learner, or of a given group if it has none."""
     return DataSetId(learner.data_set if learner else group, trial.replicate)

@@ -16,7 +16,7 @@ from pipeline.stages import divergence, segments
 from pipeline.stages.analyse import read_tables
 from pipeline.stages.assess import ASSESSED, AssessmentId, read_predictions
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
-from pipeline.stages.data_sets import DataSetId, main_data_set
+from pipeline.stages.data_sets import DataSetId, data_sets
 from pipeline.stages.replays import best_replays, replays_of, tank_replays
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.stages.transfer import SCORED
@@ -98,7 +98,7 @@ def _item(
         inputs[InputName(ANALYSED, identity)] = Input(analysis, tuple(analysis.files))
     if settings.needs_ensemble:
         with suppress(MissingInputs):
-            inputs |= throws_inputs(upstream["collect"], main_data_set(settings))
+            inputs |= throws_inputs(upstream["collect"], data_sets(settings)[0])
     lost = [
         (why.tried, f"{name}: {identity.label} {why}")
         for name in upstream

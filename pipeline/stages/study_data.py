@@ -15,7 +15,6 @@ from pipeline.stages.data_sets import (
     data_set_of,
     data_sets,
     ensemble_ids,
-    main_data_set,
     networks_of,
     own_network,
 )
@@ -79,9 +78,9 @@ def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[s
         for assessed, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, assessed)] = Input(share, (PREDICTIONS,))
     if "train" in reads:
-        learners, main = settings.arm_learners, main_data_set(settings).group
-        served = {data_set_of(trial, learners.get(trial.environment), main) for trial in trials}
-        listed = [data_set for data_set in data_sets(settings) if data_set in served]
+        learners, known = settings.arm_learners, data_sets(settings)
+        served = {data_set_of(trial, learners.get(trial.environment), known[0].group) for trial in trials}
+        listed = [data_set for data_set in known if data_set in served]
         members = [network for data_set in listed for network in ensemble_ids(settings, data_set)]
         own = [network for trial in trials for network in networks_of(trial, learners.get(trial.environment))]
         inputs |= network_inputs(dict.fromkeys([*members, *own]), upstream)
