@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, create_model, model_validator
+from pydantic_core import PydanticCustomError
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
@@ -289,11 +290,14 @@ class Settings(Parameters):
                 said = error.errors()[0]["msg"].removeprefix("Value error, ")
                 raise ValueError(f"learners.{name}, with the study's groups: {said}") from None
         known = (*ENVIRONMENTS, *self.learners)
-        arms = {"grid.environments": self.grid, "transfer.adapted_environments": self.transfer}
-        for setting, group in arms.items():
-            for name in getattr(group, setting.partition(".")[2]):
+        for place, names in (
+            (("grid", "environments"), self.grid.environments),
+            (("transfer", "adapted_environments"), self.transfer.adapted_environments),
+        ):
+            for name in names:
                 if name not in known:
-                    raise ValueError(f"{setting}: expected media and learners, any of {', '.join(known)}, got {name!r}")
+                    said = PydanticCustomError("value_error", f"expected any of {', '.join(known)}, got {name!r}")  # type: ignore[arg-type]
+                    raise ValidationError.from_exception_data("Settings", [{"type": said, "loc": place, "input": name}])
 
     def _check_objective(self) -> None:
         """Refuse an objective without its data."""

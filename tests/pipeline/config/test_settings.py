@@ -63,8 +63,8 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
             "learners.a, with the study's groups: design is",
         ),
         (["learners.a.throws.source=tracks"], "learners.a.throws.source is tracks, but throws.source is not"),
-        (["grid.environments=[fifty]"], "grid.environments: expected media and learners, any of true_slush"),
-        (["transfer.adapted_environments=[mud]"], "transfer.adapted_environments: expected media and learners"),
+        (["grid.environments=[fifty]"], "grid.environments: expected any of true_slush"),
+        (["transfer.adapted_environments=[mud]"], "transfer.adapted_environments: expected any of true_slush"),
     ],
 )
 def test_a_mistake_is_named(overrides, said):
