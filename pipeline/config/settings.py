@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, create_model, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
@@ -296,8 +296,10 @@ class Settings(Parameters):
         ):
             for name in names:
                 if name not in known:
-                    said = PydanticCustomError("value_error", f"expected any of {', '.join(known)}, got {name!r}")  # type: ignore[arg-type]
-                    raise ValidationError.from_exception_data("Settings", [{"type": said, "loc": place, "input": name}])
+                    words = f"expected any of {', '.join(known)}, got {name!r}"
+                    unknown = PydanticCustomError("value_error", words)  # type: ignore[arg-type]
+                    errors: list[InitErrorDetails] = [{"type": unknown, "loc": place, "input": name}]
+                    raise ValidationError.from_exception_data("Settings", errors)
 
     def _check_objective(self) -> None:
         """Refuse an objective without its data."""
