@@ -297,7 +297,7 @@ class Settings(Parameters):
             for name in names:
                 if name not in known:
                     words = f"expected any of {', '.join(known)}, got {name!r}"
-                    unknown = PydanticCustomError("value_error", words)  # type: ignore[arg-type]
+                    unknown = PydanticCustomError("value_error", words)
                     errors: list[InitErrorDetails] = [{"type": unknown, "loc": place, "input": name}]
                     raise ValidationError.from_exception_data("Settings", errors)
 
