@@ -163,24 +163,6 @@ def tank(results: Results) -> Iterable[TankTest]:
 
 
 @dataclass(frozen=True)
-class StageTime:
-    """The processor time of a stage."""
-
-    stage: str = column("stage", form="{}")
-    minutes: float = column("core-minutes")
-    share: float = column("share", form="{:.0%}")
-
-
-def core_minutes(results: Results) -> Iterable[StageTime]:
-    """Tabulate the processor time of each stage."""
-    of_stage = {**results["core_seconds"], "all": sum(results["core_seconds"].values())}
-    return [StageTime(stage, seconds / 60, seconds / of_stage["all"]) for stage, seconds in of_stage.items()]
-
-
-# -- what the paper leaves open --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
 class Choice:
     """How far *E* goes if a choice is made differently."""
 
@@ -234,7 +216,6 @@ TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
     "verdicts": (Beside, verdicts),
     "variants": (Variant, variants),
     "tank": (TankTest, tank),
-    "core_minutes": (StageTime, core_minutes),
     "open_choices": (Choice, open_choices),
     "sensitivity": (Choice, sensitivity),
     "bench": (Bench, bench),
