@@ -34,24 +34,31 @@ for _package in (pipeline, tasks):
         raise ImportError(f"puddle has a package {_package.__name__!r}, and another was imported: import puddle first")
 
 from pipeline.errors import PuddleError
-from tasks.design import Designs, crossover, mutate, random_designs
+from tasks.design import GENES, Designs, crossover, mutate, random_designs
 from tasks.simulation import simulate
-from tasks.world import DryLand, RandomisedSlush, ResidualSlush, TrueSlush
+from tasks.world import DryLand, Physics, Pool, RandomisedSlush, ResidualSlush, TrueSlush
 
 if TYPE_CHECKING:
     from pipeline.results.recorded_study import Study
+    from tasks.world import Environment
 
 __all__ = [
+    "GENES",
     "Designs",
     "DryLand",
+    "Physics",
+    "Pool",
     "PuddleError",
     "RandomisedSlush",
     "ResidualSlush",
     "TrueSlush",
     "crossover",
+    "film",
+    "load_design",
     "mutate",
     "open_study",
     "random_designs",
+    "save_design",
     "simulate",
 ]
 
@@ -69,3 +76,32 @@ def open_study(name: str, store: str | Path = "store") -> Study:
     from pipeline.results import recorded_study  # imports what draws figures, which takes a second
 
     return recorded_study.open_study(name, store, say=partial(warnings.warn, stacklevel=3))
+
+
+def load_design(path: str | Path) -> Designs:
+    """Read a design file, such as those of `puddle export`; raise PuddleError if it is none."""
+    from pipeline.store.design_file import read_design
+
+    return read_design(Path(path))
+
+
+def save_design(design: Designs, path: str | Path) -> None:
+    """Write one design to a file that every command takes; raise PuddleError if it is not one valid design."""
+    from pipeline.store.design_file import write_design
+
+    write_design(design, Path(path))
+
+
+def film(
+    design: Designs,
+    environment: Environment,
+    path: str | Path,
+    *,
+    n_settle: int = 200,
+    n_measure: int = 1200,
+    physics: Physics | None = None,
+) -> None:
+    """Write a film of one design in an environment: an .mp4 or a .gif, as :func:`pipeline.results.film.film` says."""
+    from pipeline.results import film as filming
+
+    filming.film(design, environment, path, n_settle=n_settle, n_measure=n_measure, physics=physics)

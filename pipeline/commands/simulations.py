@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.commands.options import SettingsOptions, output_suffix
 from pipeline.config.settings import DEEPEST, Settings
 from pipeline.errors import PuddleError
-from pipeline.report.films import render_gif, render_mp4
+from pipeline.report.films import RENDERERS
 from pipeline.report.page import render_robot
 from pipeline.stages import environments
 from pipeline.stages.collect import COLLECT
@@ -28,7 +28,6 @@ from tasks.residual import ensemble_of_data_set
 from tasks.simulation import OK, Rollouts
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, environment_kind
 
-_RENDERERS = {".gif": render_gif, ".mp4": render_mp4}
 _PAGE = ".html"
 _AT_ONCE = 4096  # designs simulated in one call, to bound the memory
 _UNITS = {
@@ -49,7 +48,7 @@ def simulate_design(
     """
     settings, design = options.settings(), read_design(path)
     name = _checked(settings, environment, depth)
-    kind = "" if out is None else output_suffix(out, (*_RENDERERS, _PAGE))
+    kind = "" if out is None else output_suffix(out, (*RENDERERS, _PAGE))
     networks: _Networks = {}
     if environment_kind(name).learned:
         networks = _required_networks(options, settings, name)
@@ -84,7 +83,7 @@ def simulate_design(
             replay_in(design, rolled_out, where, there, simulation, title=path.stem, with_push=is_page, ensemble=shown)
         )
     first, *beside = (replay for replay in replays if replay)
-    content = _RENDERERS[kind]([first]) if kind in _RENDERERS else render_robot(first, lines, beside).encode()
+    content = RENDERERS[kind]([first]) if kind in RENDERERS else render_robot(first, lines, beside).encode()
     with disk.explained(f"--out: writing {out}", out, advice="choose another file"):
         out.write_bytes(content)
     yield f"  shown in {out}"

@@ -92,3 +92,6 @@ def pictures(replays: Sequence[Replay], *, every: int = 1) -> Iterator[Image.Ima
         for number, (replay, lane) in enumerate(zip(replays, lanes, strict=True)):
             picture.paste(lane.draw(frame, min(float(times[frame]), replay.duration)), (0, number * LANE_HEIGHT))
         yield picture
+
+
+RENDERERS = {".gif": render_gif, ".mp4": render_mp4}  # by the ending of the file

@@ -17,19 +17,21 @@ from pipeline.errors import PuddleError
 from pipeline.results.study_tables import KEYS, SOURCES, available, keys_of, parts_of
 from pipeline.stages import STAGES, environments
 from pipeline.stages.analyse import table_file
-from pipeline.stages.data_sets import data_sets, ensemble_ids
-from pipeline.stages.transfer import CHAMPION, read_trials
+from pipeline.stages.data_sets import data_sets, ensemble_ids, networks_of
+from pipeline.stages.transfer import ADAPTED, CHAMPION, read_trials
 from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import Survey, other_code, survey
-from pipeline.workflow.identity import trials_of
+from pipeline.workflow.identity import TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
-from pipeline.workflow.stage import Upstream
+from pipeline.workflow.stage import Execution, Upstream
 from tasks.analysis.scores import ScoredTrial
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
+from tasks.simulation import Rollouts
+from tasks.world import ENVIRONMENTS
 
 if TYPE_CHECKING:
     from tasks.world import EnsembleMedium
@@ -175,22 +177,56 @@ class Study:
         with self.store.lock_to_read():
             return read_trials(self.settings, self.upstream["transfer"], self.store)
 
-    def champion(self, environment: str, *, depth: float, trial: int) -> Designs:
+    def champion(self, environment: str, *, depth: float, trial: int, adapted: bool = False) -> Designs:
         """Return the champion of a trial, a design.
 
         Args:
             environment: where it evolved.
             depth: of the slush [m].
             trial: number of the trial.
+            adapted: whether to return it with the controller that adapted to True Slush.
 
         Raises:
-            PuddleError: there is no such trial, it is not done, or all its designs diverged.
+            PuddleError: there is no such trial, it is not done or was not adapted, or all its designs diverged.
         """
         found = self.table(CHAMPIONS, environment=environment, depth=depth, trial=trial)
         where = f"study {self.name}: {environment} at {depth:g} m, trial {trial}"
         if not len(found):
             raise PuddleError(f"{where} has no champion: it is not done yet, or every design diverged")
+        if adapted:
+            scored = self.upstream["transfer"].done[TrialId("transfer", environment, depth, trial)][-1]
+            if ADAPTED not in scored.files:
+                raise PuddleError(f"{where} has no adapted champion: expected it in transfer.adapted_environments")
+            with self.store.lock_to_read():
+                return design_from(decode_json(self.store.read(scored, ADAPTED), where), where)
         return design_from(decode_json(found["design_json"][0].as_py().encode(), where), where)
+
+    def simulate(
+        self, designs: Designs, environment: str, *, depth: float, trial: int = 0, trace: bool = False
+    ) -> Rollouts:
+        """Simulate designs as the study does: with its rollout, physics, media and networks.
+
+        Args:
+            designs: n_designs designs, such as a champion.
+            environment: a medium such as ``true_slush``, or one of the study's learners.
+            depth: of the ground below the surface [m].
+            trial: number of the trial whose networks a learner has.
+            trace: whether to record the state after every step.
+
+        Raises:
+            PuddleError: there is no such environment.
+            MissingInputs: a network is not trained yet.
+        """
+        learner = self.settings.learner(environment)
+        if learner is None and environment not in ENVIRONMENTS:
+            known = ", ".join((*ENVIRONMENTS, *self.settings.learners))
+            raise PuddleError(f"study {self.name}: environment: expected one of {known}, got {environment!r}")
+        own = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)
+        with self.store.lock_to_read():
+            networks = environments.read_networks(own, self.upstream, self.store)
+        spec = environments.simulation_spec(self.settings, environment)
+        at = environments.build_environment(spec.media, environment, depth, networks)
+        return environments.roll_out(spec, Execution(self.settings.work.engine), at, designs, trace=trace)
 
     def ensemble(self, *, throws: str | None = None, replicate: int = 0) -> EnsembleMedium:
         """Return the trained networks, for ``ResidualSlush(depth=9.0, ensemble=study.ensemble())``.

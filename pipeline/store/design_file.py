@@ -11,7 +11,7 @@ from pydantic import ConfigDict, ValidationError, conlist, create_model
 
 from pipeline.errors import PuddleError
 from pipeline.store import disk
-from pipeline.store.encoding import check_format, decode_json
+from pipeline.store.encoding import check_format, decode_json, encode_json
 from tasks.design import N_LINKS, DesignError, Designs, check
 from tasks.design.genes import DTYPES, PER_DESIGN, concatenate
 
@@ -56,6 +56,18 @@ def read_design(path: Path) -> Designs:
     with disk.explained("reading the design", path):
         content = path.read_bytes()
     return design_from(decode_json(content, str(path)), str(path))
+
+
+def write_design(design: Designs, path: Path) -> None:
+    """Write a design file; raise PuddleError if there is not one design, or it is not valid."""
+    if len(design) != 1:
+        raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
+    try:
+        check(design)
+    except DesignError as error:
+        raise PuddleError(f"{path}: {str(error).removeprefix('design 0: ')}") from None
+    with disk.explained("writing the design", path):
+        path.write_bytes(encode_json(design_document(design)))
 
 
 def read_designs(path: Path) -> Designs:

@@ -7,7 +7,7 @@ import importlib
 import pkgutil
 
 from tasks.world.dry_land import DryLand
-from tasks.world.environment import Environment
+from tasks.world.environment import Environment, Pool
 from tasks.world.medium import EnsembleMedium, LinkStates, Medium, VelocityChange
 from tasks.world.physics import Physics, froude_time
 from tasks.world.randomised_slush import RandomisedSlush, RandomisedSlushes

@@ -6,13 +6,11 @@ networks must observe sin θ to learn it (``network.observation``). A fluid to t
 of it.
 """
 
-from dataclasses import dataclass, field
-
 from pydantic import Field
 
 from tasks.parameters import Parameters
-from tasks.world.environment import Environment
-from tasks.world.medium import LinkStates, Medium, VelocityChange
+from tasks.world.environment import Pool
+from tasks.world.medium import LinkStates, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
 from tasks.world.slush import after_drag, submerged_part
@@ -53,22 +51,10 @@ class AnisotropicSlush(Parameters):
         )
 
 
-@dataclass(frozen=True)
-class AnisotropicPool(Environment):
-    """Dry Land filled with anisotropic slush below y = 0."""
-
-    slush: AnisotropicSlush = field(default_factory=AnisotropicSlush)
-
-    @property
-    def medium(self) -> Medium:
-        """Anisotropic slush."""
-        return self.slush
-
-
 register(
     EnvironmentKind(
         name="anisotropic_slush",
-        build=AnisotropicPool,
+        build=Pool,
         settings_group="anisotropic_slush",
         settings=AnisotropicSlush,
         label="Anisotropic Slush",

@@ -37,3 +37,15 @@ class Environment:
     def components(self) -> tuple[Environment, ...]:
         """Environments that are simulated one after another: the members' own, or only itself."""
         return (self,)
+
+
+@dataclass(frozen=True)
+class Pool(Environment):
+    """Rigid links over hard ground, in a given medium: one that a study registers, or one of your own."""
+
+    fluid: Medium
+
+    @property
+    def medium(self) -> Medium:
+        """The fluid."""
+        return self.fluid

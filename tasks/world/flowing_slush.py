@@ -3,12 +3,12 @@
 A fluid to test the learner with, which knows nothing of currents. It carries along what does not swim.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from pydantic import Field
 
-from tasks.world.environment import Environment
-from tasks.world.medium import LinkStates, Medium, VelocityChange
+from tasks.world.environment import Pool
+from tasks.world.medium import LinkStates, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
 from tasks.world.slush import Slush
@@ -25,22 +25,10 @@ class FlowingSlush(Slush):
         return super().velocity_change(replace(links, vx=links.vx - self.current), physics)
 
 
-@dataclass(frozen=True)
-class FlowingPool(Environment):
-    """Dry Land filled with flowing slush below y = 0."""
-
-    slush: FlowingSlush = field(default_factory=FlowingSlush)
-
-    @property
-    def medium(self) -> Medium:
-        """Flowing slush."""
-        return self.slush
-
-
 register(
     EnvironmentKind(
         name="flowing_slush",
-        build=FlowingPool,
+        build=Pool,
         settings_group="flowing_slush",
         settings=FlowingSlush,
         label="Flowing Slush",

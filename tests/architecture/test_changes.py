@@ -70,11 +70,12 @@ CHANGED = {
     "tasks/world/slush.py": [
         (
             "from tasks.world.registry import",
-            "from tasks.world.tar import Tar, TarPit\nfrom tasks.world.registry import",
+            "from tasks.world.environment import Pool\nfrom tasks.world.tar import Tar\n"
+            "from tasks.world.registry import",
         ),
         (
             '        build=TrueSlush,\n        settings_group="slush",\n        settings=Slush,\n',
-            '        build=TarPit,\n        settings_group="tar",\n        settings=Tar,\n',
+            '        build=Pool,\n        settings_group="tar",\n        settings=Tar,\n',
         ),
     ],
     "tasks/design/genes.py": [

@@ -18,8 +18,9 @@ from tasks.simulation.simd import rotation
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import packing
 from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
-from tasks.world.anisotropic_slush import AnisotropicPool, AnisotropicSlush
-from tasks.world.flowing_slush import FlowingPool, FlowingSlush
+from tasks.world.anisotropic_slush import AnisotropicSlush
+from tasks.world.environment import Pool
+from tasks.world.flowing_slush import FlowingSlush
 
 ENGINES: dict[str, dict[str, Any]] = {
     "trees": {},
@@ -118,7 +119,7 @@ def test_every_tree(environment: Environment, physics: Physics, same_libm: None,
 @pytest.mark.parametrize(
     "environment",
     [
-        *(AnisotropicPool(0.3), AnisotropicPool(2.5), FlowingPool(0.3), FlowingPool(2.5)),
+        *(Pool(depth, fluid) for fluid in (AnisotropicSlush(), FlowingSlush()) for depth in (0.3, 2.5)),
         *(ResidualSlush(depth, Slushes(1.25, 0.6)) for depth in (0.3, 2.5)),
         ResidualSlush(0.5, Slushes(1.25, 0.6, precision=np.float64)),
     ],

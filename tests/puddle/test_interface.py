@@ -3,8 +3,10 @@
 import importlib.metadata
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ import puddle
 import tasks.design
 import tasks.simulation
 import tasks.world
+from tasks.world import VelocityChange
 
 
 def test_names_are_those_of_the_packages():
@@ -41,6 +44,35 @@ def test_puddle_is_imported_beside_a_user_s_own_modules(shadow, tmp_path):
     program = f"import sys; sys.path.append({str(root)!r}); import puddle, tasks; print(tasks.__file__)"
     ran = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert Path(ran.stdout.strip()) == root / "tasks" / "__init__.py"
+
+
+def test_a_design_is_saved_and_loaded(tmp_path):
+    design = puddle.random_designs(1, np.random.default_rng(0))
+    puddle.save_design(design, tmp_path / "design.json")
+    assert puddle.load_design(tmp_path / "design.json").equals(design)
+    with pytest.raises(puddle.PuddleError, match="expected one design, got 2"):
+        puddle.save_design(puddle.random_designs(2, np.random.default_rng(0)), tmp_path / "two.json")
+    with pytest.raises(puddle.PuddleError, match=r"frequency is 3.0, expected 0 to 0.3 Hz"):
+        puddle.save_design(replace(design, frequency=np.array([3.0])), tmp_path / "fast.json")
+
+
+class Honey:
+    """A medium of a notebook: everything in it stands still."""
+
+    def velocity_change(self, links, physics):
+        held = links.y < 0
+        return VelocityChange(*(np.where(held, -v, 0 * v) for v in (links.vx, links.vy, links.omega)))
+
+
+def test_a_design_is_filmed_in_a_medium_of_ones_own(tmp_path):
+    design, at = puddle.random_designs(1, np.random.default_rng(0)), puddle.Pool(9.0, Honey())
+    puddle.film(design, at, tmp_path / "honey.mp4", n_settle=20, n_measure=60)
+    with av.open(tmp_path / "honey.mp4") as shown:
+        assert shown.streams.video[0].frames == 31
+    in_air = puddle.simulate(design, puddle.DryLand(9.0), n_settle=0, n_measure=60, trace=True).trace
+    assert (puddle.simulate(design, at, n_settle=0, n_measure=60, trace=True).trace != in_air).any()
+    with pytest.raises(puddle.PuddleError, match=r"ends in .gif or .mp4, got honey.avi"):
+        puddle.film(design, at, tmp_path / "honey.avi")
 
 
 def test_a_name_is_no_environment():

@@ -150,6 +150,20 @@ def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_pa
         begun.ensemble()
 
 
+def test_designs_are_simulated_as_in_the_study(opened):
+    for row in opened.champions().to_pylist():
+        at = {name: row[name] for name in ("environment", "depth", "trial")}
+        champion = opened.champion(**at)
+        here = opened.simulate(champion, **at)
+        assert here.displacement.mean() == pytest.approx(row["predicted"], abs=1e-9)
+        assert opened.simulate(champion, "true_slush", depth=row["depth"]).displacement[0] == row["zero_shot"]
+        if row["adapted"] is not None:
+            adapted = opened.champion(**at, adapted=True)
+            assert opened.simulate(adapted, "true_slush", depth=row["depth"]).displacement[0] == row["adapted"]
+    with pytest.raises(PuddleError, match=r"environment: expected one of true_slush, .*, got 'honey'"):
+        opened.simulate(champion, "honey", depth=1.0)
+
+
 def test_a_study_with_settings_of_a_stage_that_is_gone_opens(settings, recorded, opened, tmp_path):
     store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
     older = {**settings.model_dump(mode="json"), "pilot": {"n_generations": 50, "most_outside": 0.2}}

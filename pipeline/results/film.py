@@ -1,0 +1,63 @@
+"""A film of a design in an environment, for scripts and notebooks."""
+
+from pathlib import Path
+
+from pipeline.errors import PuddleError
+from pipeline.report.films import RENDERERS
+from pipeline.report.replay import Surroundings, replay_of
+from pipeline.stages.replays import median_member
+from pipeline.store import disk
+from tasks.design import Designs
+from tasks.simulation import OK, simulate
+from tasks.world import Environment, Physics, ResidualSlush, TrueSlush
+
+
+def film(
+    design: Designs,
+    environment: Environment,
+    path: str | Path,
+    *,
+    n_settle: int = 200,
+    n_measure: int = 1200,
+    physics: Physics | None = None,
+) -> None:
+    """Write a film of one design, after it has settled; in an ensemble that of the median member.
+
+    Args:
+        design: a single design.
+        environment: such as ``TrueSlush(depth=9.0)``, or ``Pool(9.0, fluid)`` for a fluid of your own.
+        path: file that ends in .mp4 or .gif; it is replaced.
+        n_settle: steps before the film begins.
+        n_measure: steps of the film, 60 a second.
+        physics: constants of the simulator; the paper's by default.
+
+    Raises:
+        PuddleError: there is not one design, the file has another ending or can't be written, or the rollout diverged.
+    """
+    path = Path(path)
+    if len(design) != 1:
+        raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
+    if path.suffix not in RENDERERS:
+        raise PuddleError(f"{path}: expected a file that ends in {' or '.join(RENDERERS)}, got {path.name}")
+    physics = physics or Physics()
+    rollouts = simulate(design, environment, n_settle=n_settle, n_measure=n_measure, trace=True, physics=physics)
+    if not (rollouts.status == OK).all():
+        raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is nothing to show")
+    assert rollouts.trace is not None
+    trace = rollouts.trace[median_member(rollouts.displacement[:, 0])] if environment.is_ensemble else rollouts.trace
+    learned = isinstance(environment, ResidualSlush)
+    slush: Surroundings = "true slush" if isinstance(environment, TrueSlush) else "another medium"
+    surroundings: Surroundings = "air" if environment.medium is None else "hallucinated slush" if learned else slush
+    replay = replay_of(
+        design,
+        trace[0],
+        title=path.stem,
+        environment="",
+        seen_in=surroundings,
+        depth=environment.depth,
+        surroundings=surroundings,
+        n_settle=n_settle,
+        time_step=physics.time_step,
+    )
+    with disk.explained("writing the film", path):
+        path.write_bytes(RENDERERS[path.suffix]([replay]))
