@@ -124,7 +124,8 @@ def as_html(
         for name, heading, cell, number in zip(table.names, table.headings, cells, numbers, strict=True):
             main = escape(cell.main)
             if name == "environment":
-                main = f'<span class="swatch {escape(row.environment)}"></span>{main}'
+                color = f"var(--arm-{escape(row.environment)}, var(--unknown))"
+                main = f'<span class="swatch" style="background: {color}"></span>{main}'
                 main = f'<a href="#{escape(to)}">{main}</a>' if (to := address(row)) else main
             kinds = "number" if number else "words"
             kinds += f" verdict {getattr(row, name).replace(' ', '-')}" if name == "verdict" else ""
