@@ -280,9 +280,10 @@ class Settings(Parameters):
                 raise ValueError(f"learners.{name}: the name is taken: expected one of its own, got {name!r}")
             others = [one for one in stated(given) if one != "single"]
             if given.single is not None and (others or given.single not in ensembles):
+                beside = f" beside {', '.join(others)}" if others else ""
                 raise ValueError(
-                    f"learners.{name}.single is {given.single!r}, beside {', '.join(others) or 'nothing'}: expected "
-                    f"nothing but a learner with an ensemble, one of {', '.join(ensembles)}"
+                    f"learners.{name}.single is {given.single!r}{beside}: expected a learner with an ensemble, one of "
+                    f"{', '.join(ensembles)}, and nothing beside it"
                 )
             try:
                 self.learner(name)

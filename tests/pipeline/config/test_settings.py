@@ -53,10 +53,10 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["learners.a.network.form=wet"], "learners.a.network.form: expected 'plain' or 'wetted', got \"wet\""),
         (["learners.a.network.frm=plain"], "learners.a.network.frm: unknown setting; did you mean form?"),
         (["learners.a.n_members=0"], "learners.a.n_members: expected a number greater than 0, got 0"),
-        (["learners.a.single=b"], "learners.a.single is 'b', beside nothing: expected"),
+        (["learners.a.single=b"], "learners.a.single is 'b': expected"),
         (
             ["learners.a={single: residual_slush, n_members: 3}"],
-            "learners.a.single is 'residual_slush', beside n_members: expected",
+            "learners.a.single is 'residual_slush' beside n_members: expected",
         ),
         (
             ["throws.max_velocity=5", "learners.a.throws.design=robots"],
