@@ -21,7 +21,7 @@ import sys
 import warnings
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 _ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(_ROOT))  # ahead of a user's working folder, which may have a tasks.py or pipeline.py
@@ -39,8 +39,8 @@ from tasks.simulation import simulate
 from tasks.world import DryLand, Physics, Pool, RandomisedSlush, ResidualSlush, TrueSlush
 
 if TYPE_CHECKING:
+    from pipeline.results.film import film
     from pipeline.results.recorded_study import Study
-    from tasks.world import Environment
 
 __all__ = [
     "GENES",
@@ -92,16 +92,9 @@ def save_design(design: Designs, path: str | Path) -> None:
     write_design(design, Path(path))
 
 
-def film(
-    design: Designs,
-    environment: Environment,
-    path: str | Path,
-    *,
-    n_settle: int = 200,
-    n_measure: int = 1200,
-    physics: Physics | None = None,
-) -> None:
-    """Write a film of one design in an environment: an .mp4 or a .gif, as :func:`pipeline.results.film.film` says."""
-    from pipeline.results import film as filming
+def __getattr__(name: str) -> Any:
+    if name == "film":
+        from pipeline.results.film import film  # imports what draws, which takes a second
 
-    filming.film(design, environment, path, n_settle=n_settle, n_measure=n_measure, physics=physics)
+        return film
+    raise AttributeError(f"module 'puddle' has no attribute {name!r}")
