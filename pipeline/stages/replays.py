@@ -1,6 +1,5 @@
 """Replays of champions: every one in True Slush, and the best of each arm where it evolved, too."""
 
-import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,6 @@ from tasks.analysis.hallucination import acceleration, disagreement, link_states
 from tasks.analysis.registry import Champion
 from tasks.arrays import Float64
 from tasks.design import Designs
-from tasks.residual.ensemble import WeightsError
 from tasks.simulation import Rollouts
 from tasks.world import DryLand, EnsembleMedium, Environment, EnvironmentName, environment_kind
 
@@ -60,9 +58,7 @@ def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
     scored = np.array([champion.zero_shot for champion in own])
     survives = bool(np.isfinite(scored).any())
     best = own[int(np.nanargmax(scored if survives else [champion.fitness for champion in own]))]
-    ensemble = None
-    with contextlib.suppress(WeightsError):  # the stages that evolve under such networks have failed and say so
-        ensemble = study.ensemble(best) if study.networks else None
+    ensemble = study.ensemble(best) if study.networks else None
     replays = [_in_true_slush(study, best, with_push=True, ensemble=ensemble)] if survives else []
     if best.environment != "true_slush":
         replays.append(_replay(study, best, best.environment, study.home(best), with_push=True, ensemble=ensemble))

@@ -38,7 +38,7 @@ def test_a_network_of_other_inputs_predicts_links_as_it_was_trained():
     assert ensemble.inputs == RICH and ensemble.weights[0].shape == (2, 9, 8)
     states = LinkStates(**{name: np.stack([array, array]) for name, array in vars(links()).items()})
     change = ensemble.velocity_change(states, Physics())
-    expected = ensemble.predict_with_torch(observe(vars(states), RICH))
+    expected = ensemble.predict(observe(vars(states), RICH))
     assert np.stack([change.vx, change.vy, change.omega], axis=-1) == pytest.approx(expected, rel=1e-4, abs=1e-5)
 
 

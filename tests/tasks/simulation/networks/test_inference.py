@@ -11,7 +11,7 @@ import torch
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.networks.tiles import TILE_UNITS
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="the ensemble uses torch then")
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="the ensemble uses NumPy then")
 
 
 def networks(hidden_layers, width, n_members=3, n_out=3, seed=0):
