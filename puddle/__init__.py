@@ -56,6 +56,7 @@ __all__ = [
     "film",
     "load_design",
     "mutate",
+    "open_designs",
     "open_study",
     "random_designs",
     "save_design",
@@ -83,6 +84,13 @@ def load_design(path: str | Path) -> Designs:
     from pipeline.store.design_file import read_design
 
     return read_design(Path(path))
+
+
+def open_designs(path: str | Path) -> Designs:
+    """Read the designs of a table, such as docs/champions.parquet; raise PuddleError if it holds none."""
+    from pipeline.store.design_file import read_designs
+
+    return read_designs(Path(path))
 
 
 def save_design(design: Designs, path: str | Path) -> None:

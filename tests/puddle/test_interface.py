@@ -8,6 +8,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import puddle
@@ -54,6 +55,16 @@ def test_a_design_is_saved_and_loaded(tmp_path):
         puddle.save_design(puddle.random_designs(2, np.random.default_rng(0)), tmp_path / "two.json")
     with pytest.raises(puddle.PuddleError, match=r"frequency is 3.0, expected 0 to 0.3 Hz"):
         puddle.save_design(replace(design, frequency=np.array([3.0])), tmp_path / "fast.json")
+
+
+@pytest.mark.parametrize("depth", [2.0, 9.0])
+def test_published_champions_travel_as_their_table_says(depth):
+    path = Path(puddle.__file__).parents[1] / "docs" / "champions.parquet"
+    table, designs = pq.read_table(path), puddle.open_designs(path)
+    assert len(table) == len(designs) == 70
+    there = np.flatnonzero(table["depth"].to_numpy() == depth)
+    travelled = puddle.simulate(designs[there], puddle.TrueSlush(depth)).displacement
+    assert (travelled == table["zero_shot"].to_numpy()[there]).all()
 
 
 class Honey:
