@@ -22,6 +22,7 @@ from tasks.residual import (
     MeasuredTransitions,
     Throws,
     Transitions,
+    current,
     initial_states,
     robot_ranges,
     simulate_throws,
@@ -154,6 +155,14 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         if not done:
             continue
         transitions = read_transitions([{TRANSITIONS: store.read(part, TRANSITIONS)} for part in done.values()])
+        name = "" if len(data_sets(settings)) == 1 else f"{data_set.label}: "
+        if settings.ensembles[data_set.group].network.form == "wetted":
+            flow, sd = current(transitions)
+            if abs(flow) > max(4 * sd, 0.05):
+                lines.append(
+                    f"{name}the fluid flows at {flow:.2f} ± {sd:.2f} m/s, and wetted networks learn a fluid at rest: "
+                    "set network.form to plain"
+                )
         if tracked := [part for part in done.values() if TRACK_REPORT in part.files]:
             found = decode_json(store.read(tracked[0], TRACK_REPORT), TRACK_REPORT)
             n_further = int((transitions.throw < 0).sum())
@@ -163,14 +172,14 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         speed = np.hypot(transitions.state[:, 3], transitions.state[:, 4])
         wet = np.abs(transitions.residual).max(axis=1) > 0
         slow_and_wet = float(np.mean(wet & (speed < 0.5)))
-        n_throws, name = len(np.unique(transitions.throw)), "" if len(data_sets(settings)) == 1 else data_set.label
+        n_throws = len(np.unique(transitions.throw))
         lines.append(
-            f"{name}{name and ': '}{n_throws:,} throws, {len(transitions):,} transitions; "
+            f"{name}{n_throws:,} throws, {len(transitions):,} transitions; "
             f"{wet.mean():.0%} touch slush, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
         )
         figures = {"wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet}
         counts = {"n_throws": float(n_throws), "n_transitions": float(len(transitions))}
-        metrics |= {f"{data_set.prefix.replace('/', '.')}{name}": x for name, x in {**counts, **figures}.items()}
+        metrics |= {f"{data_set.prefix.replace('/', '.')}{key}": x for key, x in {**counts, **figures}.items()}
     return Summary(lines=lines or ["no throws"], metrics=metrics)
 
 

@@ -14,6 +14,7 @@ from tasks.residual.throws import (
     MeasuredTransitions,
     Throws,
     Transitions,
+    current,
     initial_states,
     simulate_throws,
 )

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from tasks.residual import Throws, Transitions, initial_states, simulate_throws
+from tasks.residual import Throws, Transitions, current, initial_states, simulate_throws
 from tasks.residual.observation import VELOCITIES
 from tasks.world import LinkStates, Physics, Slush
+from tasks.world.flowing_slush import FlowingSlush
 
 PHYSICS = Physics()
 SLUSH = Slush()
@@ -66,3 +67,12 @@ def test_a_throw_does_not_depend_on_its_chunk(starts, transitions):
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         Throws(**wrong)
+
+
+@pytest.mark.parametrize("design", ["paper", "robots"])
+@pytest.mark.parametrize("flow", [0.0, 0.1, -3.0])
+def test_the_flow_of_a_fluid_is_seen_in_throws(flow, design):
+    throws = Throws(n_throws=50, design=design)
+    starts = initial_states(throws, np.random.default_rng(3))
+    found, sd = current(simulate_throws(starts, 200, FlowingSlush(current=flow), PHYSICS))
+    assert sd < 0.02 and abs(found - flow) < 4 * sd
