@@ -196,7 +196,7 @@ def _joint(sheet: Axes, servo_joint: ServoJoint, kit: Kit, put: Put, scale: floa
     (x, y), (child_x, child_y) = put([joint.at, kit.mechanism.link_centre[joint.link]])
     reach = max(servo_joint.recess_radius_mm * scale, 3.0) + 4.0
     direction = atan2(child_y - y, child_x - x)
-    ends = (direction - joint.motion_range, direction + joint.motion_range)
+    ends = (direction - joint.reach, direction + joint.reach)
     angles = {"theta1": degrees(ends[0]), "theta2": degrees(ends[1])}
     sheet.add_patch(Arc((x, y), 2 * reach, 2 * reach, **angles, ec=_RED, lw=0.8, zorder=7))
     for at in ends:
@@ -218,7 +218,7 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
         for side in servo_joint.sides(kit.settings.servos_per_joint):
             sense = "+ angle" if kit.direction(joint.link, side) > 0 else "− angle"
             carrier = f"part {servo_joint.carrier + 1}, {side}"
-            joints.append([f"{joint.link}", turns, rest, f"±{degrees(joint.motion_range):.1f}°", carrier, sense])
+            joints.append([f"{joint.link}", turns, rest, f"±{degrees(joint.reach):.1f}°", carrier, sense])
     y = _table(sheet, x, y, "Joints", joints, (10, 25, 19, 18, 25, 25))
     if n_faults:
         y -= 8

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import isclose, pi, radians
+from math import isclose, radians
 
 import numpy as np
 
 from pipeline.fabrication.source import DesignSource
 from pipeline.stages import environments
 from tasks.arrays import Float64
+from tasks.design.gait import top_speed
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import KitFinding
 from tasks.fabrication.contacts import passing_contacts
@@ -87,7 +88,7 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
             servo=servo,
             servos_per_joint=settings.servos_per_joint,
             max_motor_torque=physics.max_motor_torque,
-            commanded_speed=2 * pi * design.frequency[0] * design.motion_range[0, list(joints)],
+            commanded_speed=top_speed(design)[0, list(joints)],
         )
         findings += check_loads(loads, servo)
         for contact in passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step):
@@ -147,7 +148,7 @@ def _calibration_of(kit: Kit) -> Calibration | None:
     servo = kit.servo
     servos: list[ServoCalibration] = []
     for servo_joint in kit.servo_joints:
-        reach = servo.us_per_rad * (servo_joint.joint.motion_range + _SPARE_RANGE)
+        reach = servo.us_per_rad * (servo_joint.joint.reach + _SPARE_RANGE)
         for side in servo_joint.sides(kit.settings.servos_per_joint):
             servos.append(
                 ServoCalibration(

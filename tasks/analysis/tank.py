@@ -14,7 +14,7 @@ simulation's limit and with the servo's torque, which scales as weight times len
 of a robot of 1.18 kg at 70 mm per metre as 143 N·m do in the simulation.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -23,6 +23,7 @@ from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float64
 from tasks.design import Designs, concatenate, jittered
+from tasks.design.gait import TURN, begun_later
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts
 from tasks.world import froude_time
@@ -120,11 +121,8 @@ def restarted(design: Designs, n: int, rng: Generator) -> Designs:
 
     Every attachment is also moved up or down, or inwards at a gene's bound.
     """
-    begun = [
-        replace(again, phase=(again.phase + rng.uniform(0.0, 2 * np.pi)) % (2 * np.pi))
-        for again in (jittered(design, rng, _JITTER) for _ in range(n - 1))
-    ]
-    return concatenate([design, *begun])
+    jitters = (jittered(design, rng, _JITTER) for _ in range(n - 1))
+    return concatenate([design, *(begun_later(again, rng.uniform(0.0, TURN)) for again in jitters)])
 
 
 def count_crossings(trials: Crossings, tank: Tank) -> TankTrials:

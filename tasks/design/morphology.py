@@ -15,6 +15,7 @@ from pydantic import Field
 
 from tasks.arrays import Bools, Float64, Int64
 from tasks.design.body import rest_pose
+from tasks.design.gait import gaits_of, sine, swing, top_speed
 from tasks.design.genes import N_LINKS, DesignError, Designs, DesignTable
 from tasks.parameters import Parameters, later_choice
 
@@ -37,8 +38,7 @@ class Morphology(Parameters):
     """Whether links that no joint connects may overlap, or are apart at rest, or also while the motors follow the
     controller. [P]: apart in the robot that was built."""
     max_joint_speed: float | None = later_choice(None, gt=0.0, le=1e6)
-    """[rad/s]. Highest speed at which a controller may swing a joint, 2π times frequency and range of motion; null: no
-    limit."""
+    """[rad/s]. Highest speed at which a controller may swing a joint; null: no limit."""
 
     @property
     def constrains_gaits(self) -> bool:
@@ -104,11 +104,8 @@ def links_apart(designs: Designs) -> Bools:
 
 
 def joint_speed(designs: Designs) -> Float64:
-    """Compute the highest speed at which controllers swing joints, 2π f A; (n_designs, n_links) [rad/s].
-
-    It is 0 where there is no motor.
-    """
-    return np.where(designs.motor_on, 2 * np.pi * designs.frequency[:, None] * designs.motion_range, 0.0)
+    """Return the highest speed at which motors swing joints, (n_designs, n_links) [rad/s]; 0 without a motor."""
+    return np.where(designs.motor_on, top_speed(designs), 0.0)
 
 
 def apart_in_gait(designs: Designs) -> Bools:
@@ -119,9 +116,9 @@ def apart_in_gait(designs: Designs) -> Bools:
     """
     n = len(designs)
     each = designs[np.repeat(np.arange(n), N_INSTANTS)]
-    time = np.tile(np.arange(N_INSTANTS) / N_INSTANTS, n)[:, None]  # [periods]
-    swing = np.where(each.motor_on, each.motion_range * np.sin(2 * np.pi * time + each.phase), 0.0)
-    apart = links_apart(replace(each, rest_angle=each.rest_angle + swing)).reshape(n, N_INSTANTS)
+    periods = np.tile(np.arange(N_INSTANTS) / N_INSTANTS, n)[:, None]
+    turned = np.where(each.motor_on, swing(gaits_of(each), periods, sine), 0.0)
+    apart = links_apart(replace(each, rest_angle=each.rest_angle + turned)).reshape(n, N_INSTANTS)
     return np.asarray(apart.all(axis=1))
 
 

@@ -13,6 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.arrays import Float64
 from tasks.design import N_LINKS, Designs, rest_pose
+from tasks.design.gait import gaits_of, reach, sine, swing
 from tasks.fabrication.kit_settings import KitSettings
 
 Point = tuple[float, float]
@@ -39,7 +40,7 @@ class RigidPart:
         return f"part {self.index + 1}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TurningJoint:
     """A turning joint."""
 
@@ -49,8 +50,8 @@ class TurningJoint:
     child: int  # index of the body with its child link
     at: Point
     rest_angle: float  # angle of the child link relative to its parent at rest, within ±π [rad]
-    motion_range: float  # amplitude [rad]
-    phase: float  # phase [rad]
+    reach: float  # largest angle from rest in the gait [rad]
+    swing: Float64  # angles from rest at _N_GAIT instants of a period of the gait [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +80,8 @@ class Mechanism:
 
     def poses_in_gait(self, seen_from: int, body: int) -> list[Pose]:
         """Sample a body's poses relative to another over one period of the gait, at full and at rising amplitude."""
-        turn = 2 * np.pi * np.arange(_N_GAIT) / _N_GAIT
         path = self.path(seen_from, body)
-        full = np.array([sign * joint.motion_range * np.sin(turn + joint.phase) for joint, sign in path])
+        full = np.array([sign * joint.swing for joint, sign in path])
         shares = _AMPLITUDES if len(path) > 1 else _AMPLITUDES[:1]  # one joint alone passes through the same angles
         return [_chained(path, share * angles) for share in shares for angles in full.T]
 
@@ -95,9 +95,9 @@ class Mechanism:
             return self.poses_in_gait(seen_from, body)
         per_joint = []
         for joint, _ in path:
-            n = 2 * int(np.ceil(joint.motion_range / _SWEEP_STEP)) + 1
+            n = 2 * int(np.ceil(joint.reach / _SWEEP_STEP)) + 1
             most = n if len(path) == 1 else _MAX_ANGLES_OF_TWO
-            per_joint.append(np.linspace(-joint.motion_range, joint.motion_range, min(n, most)))
+            per_joint.append(np.linspace(-joint.reach, joint.reach, min(n, most)))
         return [_chained(path, np.array(angles)) for angles in product(*per_joint)]
 
 
@@ -126,6 +126,7 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
     scale = settings.scale_mm_per_m
     x, y, angle = (array[0] for array in rest_pose(design))
     length, parent, turns = design.length_scale[0], design.parent[0], design.motor_on[0]
+    farthest, swings = reach(design)[0], swing(gaits_of(design)[:, 0], np.arange(_N_GAIT)[:, None] / _N_GAIT, sine)
     links = []
     for link in range(N_LINKS):
         half_w, half_h = scale / length[link] / 2, scale * length[link] / 2
@@ -144,8 +145,8 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
         depth.append(depth[body_of[above]] + 1)
         along = design.child_attachment[0, link] * length[link] / 2
         at = (scale * (x[link] - np.sin(angle[link]) * along), scale * (y[link] + np.cos(angle[link]) * along))
-        genes = (float(gene[0, link]) for gene in (design.rest_angle, design.motion_range, design.phase))
-        joints.append(TurningJoint(link, above, body_of[above], body_of[link], (float(at[0]), float(at[1])), *genes))
+        gait = float(design.rest_angle[0, link]), float(farthest[link]), swings[:, link]
+        joints.append(TurningJoint(link, above, body_of[above], body_of[link], (float(at[0]), float(at[1])), *gait))
     bodies = tuple(
         RigidPart(index, tuple(body_links), depth[index], unary_union([links[link] for link in body_links]))
         for index, body_links in enumerate(members)

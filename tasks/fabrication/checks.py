@@ -54,9 +54,9 @@ def _variant(assembly: Assembly) -> Iterator[KitFinding]:
 def _travel(assembly: Assembly) -> Iterator[KitFinding]:
     for servo_joint in assembly.servo_joints:
         joint, servo = servo_joint.joint, servo_joint.servo
-        if joint.motion_range > servo.travel_rad / 2:
+        if joint.reach > servo.travel_rad / 2:
             message = (
-                f"swings ±{degrees(joint.motion_range):.0f}°, but servo {servo.name} turns only "
+                f"swings ±{degrees(joint.reach):.0f}°, but servo {servo.name} turns only "
                 f"±{degrees(servo.travel_rad / 2):.0f}°. Choose a servo with more travel (--set kit.servo=...)"
             )
             yield KitFinding("fault", f"joint {joint.link}", message)

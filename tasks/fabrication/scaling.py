@@ -112,7 +112,7 @@ def joint_loads(
         servo: Servo of every joint.
         servos_per_joint: Number of servos that share a joint's torque.
         max_motor_torque: Torque limit of the simulated motors [N·m of simulation].
-        commanded_speed: (n_joints) highest speeds commanded, amplitude · 2π f [rad/s of simulation]. A servo follows
+        commanded_speed: (n_joints) highest speeds commanded [rad/s of simulation]. A servo follows
             its timeline, while the simulated joint may lag behind.
     """
     commanded = np.asarray(commanded_speed) * scales.frequency

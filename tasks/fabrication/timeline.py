@@ -1,8 +1,8 @@
 """Servo timelines: the angle of every joint, frame by frame, and the pulses that command it.
 
-The angles are those of the simulation's controller (tasks/simulation/controller.py), range · sin(2π f t + phase) from
-rest, with time scaled from simulation to bench (tasks/fabrication/scaling.py). An envelope raises the amplitude from 0
-to 1 and lowers it again: a run begins and ends at rest, without a jump in angle, speed or acceleration.
+The angles are those of the simulated gait (tasks/design/gait.py) from rest, with time scaled from simulation to bench
+(tasks/fabrication/scaling.py). An envelope raises the amplitude from 0 to 1 and lowers it again: a run begins and ends
+at rest, without a jump in angle, speed or acceleration.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from pydantic import Field
 
 from tasks.arrays import Float64
 from tasks.design import Designs
+from tasks.design.gait import gaits_of, sine, swing
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.parameters import Parameters
 
@@ -81,10 +82,10 @@ def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Ti
     joints = driven_joints(design)
     n_frames = round(playback.duration * FRAME_RATE_HZ) + 1
     time = np.arange(n_frames) / FRAME_RATE_HZ
-    turns = design.frequency[0] * time / time_scale
-    swing = design.motion_range[0] * np.sin(2 * np.pi * turns[:, None] + design.phase[0])
+    periods = design.frequency[0] * time[:, None] / time_scale
     rise = envelope(time, duration=time[-1], ramp=playback.ramp)
-    return Timeline(joints=joints, angle=rise[:, None] * swing[:, list(joints)])
+    angle = swing(gaits_of(design)[:, 0, list(joints)], periods, sine)
+    return Timeline(joints=joints, angle=rise[:, None] * angle)
 
 
 def pulses(timeline: Timeline, calibration: Calibration) -> Float64:

@@ -10,8 +10,8 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from tasks.design.body import kinematic_trees
+from tasks.design.gait import TURN, gaits_of
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation.controller import AMPLITUDE, Controllers
 from tasks.world.physics import Physics
 
 _SHORTEST_STEP = 1 / 240  # [s]; contacts in MuJoCo want shorter steps than Box2D's
@@ -26,7 +26,7 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None) -> str:
     """
     physics = physics or Physics()
     trees = kinematic_trees(design, density=physics.link_density)
-    controllers = Controllers.of(design, physics.range_of_motion)
+    gaits = gaits_of(design, physics.range_of_motion)[:, 0]
     model = Xml.Element("mujoco", model="puddle")
     Xml.SubElement(model, "compiler", angle="radian")
     Xml.SubElement(
@@ -46,7 +46,7 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None) -> str:
     bodies: list[Xml.Element] = []
     for link in range(N_LINKS):
         along_parent, along_child = float(trees.parent_anchor[0, link]), float(trees.child_anchor[0, link])
-        rest, on = float(design.rest_angle[0, link]), bool(controllers.motor_on[0, link])
+        rest, on = float(design.rest_angle[0, link]), link > 0 and bool(design.motor_on[0, link])
         if link == 0:
             above, place, turned = world, (0.0, 0.0, float(trees.y[0, 0])), 0.0
         else:
@@ -75,8 +75,8 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None) -> str:
             motor = {"kp": _number(physics.motor_gain * slope), "kv": _number(slope)}
             motor |= {"joint": f"joint-{link}", "forcelimited": "true", "forcerange": _numbers(-torque, torque)}
             Xml.SubElement(actuators, "position", motor, name=f"motor-{link}")
-            amplitude = AMPLITUDE[physics.range_of_motion] * design.motion_range[0, link]
-            gait = _numbers(rest, amplitude, design.frequency[0], design.phase[0, link])
+            amplitude, phase = gaits[:, link]
+            gait = _numbers(rest, amplitude, design.frequency[0], TURN * phase)
             Xml.SubElement(custom, "numeric", name=f"gait-{link}", data=gait)
     Xml.indent(model)
     return Xml.tostring(model, encoding="unicode") + "\n"

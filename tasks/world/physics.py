@@ -4,14 +4,12 @@
 """
 
 from math import sqrt
-from typing import Literal
 
 from pydantic import Field
 
 from tasks.design.body import PassiveJoints
+from tasks.design.gait import RangeOfMotion
 from tasks.parameters import Parameters, later_choice
-
-RangeOfMotion = Literal["amplitude", "peak_to_peak"]  # what a joint's range of motion is of its oscillation
 
 
 class Physics(Parameters):

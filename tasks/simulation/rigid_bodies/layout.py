@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy import float32
 
+from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS, N_LINKS
 
 GROUND = N_LINKS  # the ground's index among the bodies and among the fixtures
@@ -95,7 +96,8 @@ class JointRecord:
     """
 
     body_a, body_b, parent, child = [0] * 4
-    phase_turns, amplitude, rest_angle, motor_speed, max_motor_impulse = [_FLOAT] * 5
+    gait = [_FLOAT] * N_NUMBERS
+    rest_angle, motor_speed, max_motor_impulse = [_FLOAT] * 3
     local_ra_x, local_ra_y, local_rb_x, local_rb_y, ra_x, ra_y, rb_x, rb_y = [_FLOAT] * 8
     impulse_x, impulse_y, motor_impulse, motor_work = [_FLOAT] * 4
     k_xx, k_xy, k_yy, k_inverse_det, motor_mass = [_FLOAT] * 5

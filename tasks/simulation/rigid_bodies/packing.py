@@ -195,8 +195,7 @@ def _pack_joints(
         ("local_rb_x", -center_b[:, 0]),
         ("local_rb_y", trees.child_anchor[design, link] - center_b[:, 1]),
         ("max_motor_impulse", designs.motor_on[design, link] * max_motor_impulse),
-        ("phase_turns", controllers.phase_turns[design, link]),
-        ("amplitude", controllers.amplitude[design, link]),
+        ("gait", controllers.gait[:, design, link].T),
         ("rest_angle", controllers.rest_angle[design, link]),
     ):
         robots["joints"][name][design, index[design, link] - 1] = quantity

@@ -9,6 +9,7 @@ from numpy import float32
 
 from tasks.arrays import Float32
 from tasks.compiled import inline
+from tasks.simulation.controller import target_angle
 from tasks.simulation.rigid_bodies import broad_phase, island, revolute_joint
 from tasks.simulation.rigid_bodies.layout import RobotRecord
 from tasks.simulation.rigid_bodies.transform import rotate, transform
@@ -68,8 +69,8 @@ def _command_motors(robot: RobotRecord, time: float32, scene: Scene) -> None:
     for j in range(robot.n_joints):
         joint = robot.joints[j]
         joint_angle = robot.links[joint.child].angle - robot.links[joint.parent].angle
-        turns = robot.frequency * time + joint.phase_turns
-        joint.motor_speed = motor_speed(turns, joint.rest_angle, joint.amplitude, joint_angle, scene)
+        target = target_angle(joint.gait, joint.rest_angle, robot.frequency * time)
+        joint.motor_speed = motor_speed(target, joint_angle, scene)
 
 
 @inline

@@ -6,8 +6,8 @@ import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
+from tasks.design.gait import gaits_of
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
-from tasks.simulation.controller import AMPLITUDE
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
@@ -70,7 +70,7 @@ class Groups:
             n_lanes,
             physics.link_density,
             max_motor_impulse,
-            AMPLITUDE[physics.range_of_motion],
+            gaits_of(designs, physics.range_of_motion).astype(np.float32),
             self.blocks,
             self._number,
         )

@@ -13,8 +13,8 @@ import numpy as np
 from tasks.arrays import Float32, Int64
 from tasks.compiled import inline
 from tasks.design.body import spawn_kernel
+from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, DesignTable
-from tasks.simulation.controller import TURN
 from tasks.simulation.simd.lanes import Uniform
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
@@ -22,8 +22,8 @@ from tasks.simulation.trees.contact import NO_VERTEX
 _HALF, _QUARTER, _ZERO, _ONE = np.float32(0.5), np.float32(0.25), np.float32(0.0), np.float32(1.0)
 _THIRD = np.float32(1.0) / np.float32(3.0)
 
-_LENGTH, _REST_ANGLE, _FREQUENCY, _PHASE, _MOTION_RANGE, _MOTOR_ON = (
-    COLUMNS[name].start for name in ("length_scale", "rest_angle", "frequency", "phase", "motion_range", "motor_on")
+_LENGTH, _REST_ANGLE, _FREQUENCY, _MOTOR_ON = (
+    COLUMNS[name].start for name in ("length_scale", "rest_angle", "frequency", "motor_on")
 )
 """Columns in a table of designs: of the root, followed by the other links; ``frequency`` has one."""
 
@@ -76,7 +76,7 @@ def pack_robots(
     n_lanes: int,
     density: float,
     max_motor_impulse: np.float32,
-    amplitude: float,
+    gaits: Float32,
     blocks: Float32,
     number: Int64,
 ) -> None:
@@ -85,8 +85,8 @@ def pack_robots(
     Robot member · n_designs + design is in lane i mod n_lanes of group i // n_lanes. Lanes left over at the end get
     copies of the last robot.
 
-    ``amplitude`` is that of an oscillation over its range of motion, ``max_motor_impulse`` [N·m·s] the most in a step
-    of a motor that is on. Filled are the zeros of ``blocks``, (n_groups, N_ROWS, n_lanes), and ``number``, (n_designs,
+    ``gaits`` are (N_NUMBERS, n_designs, n_links) numbers, ``max_motor_impulse`` [N·m·s] the most in a step of a motor
+    that is on. Filled are the zeros of ``blocks``, (n_groups, N_ROWS, n_lanes), and ``number``, (n_designs,
     n_links), the engine's numbers of the links.
     """
     single, n_robots = np.float32, n_members * len(table)
@@ -123,9 +123,9 @@ def pack_robots(
                 robot[layout.PARENT_ANCHOR + j] = parent_anchor[design, link]
                 robot[layout.CHILD_ANCHOR + j] = child_anchor[design, link]
                 robot[layout.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if genes[_MOTOR_ON + link] != 0 else _ZERO
-                robot[layout.PHASE + j] = single(genes[_PHASE + link] / TURN)
                 robot[layout.REST_ANGLE + j] = single(genes[_REST_ANGLE + link])
-                robot[layout.AMPLITUDE + j] = single(amplitude * genes[_MOTION_RANGE + link])
+                for k in range(N_NUMBERS):
+                    robot[layout.GAIT + j * N_NUMBERS + k] = gaits[k, design, link]
         for copy in range(design, n_robots, len(table)):
             for row in range(len(robot)):
                 blocks[copy // n_lanes, row, copy % n_lanes] = robot[row]

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tasks.compiled import inline
+from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS
 from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
-from tasks.simulation.controller import SINE_OF_TURNS
-from tasks.simulation.simd.lanes import Block, Numeric, any_lane, count_parts, floor, from_row, part, select, sqrt
+from tasks.simulation.controller import target_angle
+from tasks.simulation.simd.lanes import Block, Numeric, any_lane, count_parts, from_row, part, select, sqrt
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
@@ -23,8 +24,7 @@ from tasks.simulation.trees.joint import of_parent
 from tasks.world.slush import TINY
 
 # float32, because motor_speed and slush_change serve lanes and the numbers of tasks/simulation/rigid_bodies.
-_C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in SINE_OF_TURNS)
-_ZERO, _QUARTER, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.25, 0.5, 1, 2, 4, 24))
+_ZERO, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4, 24))
 _TINY = np.float32(TINY)
 
 MAX_GROUPS_AT_ONCE = 2  # of two, what the velocity solver uses still fits a core's L1 cache
@@ -53,16 +53,8 @@ class Scene(NamedTuple):
 
 
 @inline
-def motor_speed(turns: Numeric, rest_angle: Numeric, amplitude: Numeric, joint_angle: Numeric, scene: Scene) -> Numeric:
-    """Return the motor speed gain · (θ* - θ), within its limit, of lanes or numbers [rad/s]; as in controller.py.
-
-    ``turns`` is the phase at the present time; the angles are in radians.
-    """
-    r = turns - floor(turns + _HALF)
-    folded = _QUARTER - abs(abs(r) - _QUARTER)
-    square = folded * folded
-    sine = folded * (_C1 + square * (_C3 + square * (_C5 + square * (_C7 + square * _C9))))
-    target = rest_angle + amplitude * select(r < 0.0, -sine, sine)
+def motor_speed(target: Numeric, joint_angle: Numeric, scene: Scene) -> Numeric:
+    """Return the motor speed gain · (θ* - θ), within its limit, of lanes or numbers [rad/s]; as in controller.py."""
     wanted, limit = scene.motor_gain * (target - joint_angle), scene.max_motor_speed
     below = select(wanted > limit, limit, wanted)
     return select(below < -limit, -limit, below)
@@ -72,10 +64,9 @@ def motor_speed(turns: Numeric, rest_angle: Numeric, amplitude: Numeric, joint_a
 def _command_motor(block: Block, j: int, time: np.float32, scene: Scene) -> None:
     parent = block[at.PARENT + j]
     joint_angle = block[at.ANGLE + j + 1] - of_parent(from_row(block, at.ANGLE), parent, j)
-    turns = block[at.FREQUENCY] * time + block[at.PHASE + j]
-    block[at.MOTOR_SPEED + j] = motor_speed(
-        turns, block[at.REST_ANGLE + j], block[at.AMPLITUDE + j], joint_angle, scene
-    )
+    gait, periods = from_row(block, at.GAIT + j * N_NUMBERS), block[at.FREQUENCY] * time
+    target = target_angle(gait, block[at.REST_ANGLE + j], periods)
+    block[at.MOTOR_SPEED + j] = motor_speed(target, joint_angle, scene)
 
 
 @inline
