@@ -79,9 +79,7 @@ def simulate_design(
         seen.append((other, *_rolled_out(settings, design, other, depth, ensemble, trace=True)))
     for where, there, rolled_out in seen:
         simulation, shown = environments.simulation_spec(settings, where), ensemble if is_page else None
-        replays.append(
-            replay_in(design, rolled_out, where, there, simulation, title=path.stem, with_push=is_page, ensemble=shown)
-        )
+        replays.append(replay_in(design, rolled_out, where, there, simulation, title=path.stem, ensemble=shown))
     first, *beside = (replay for replay in replays if replay)
     content = RENDERERS[kind]([first]) if kind in RENDERERS else render_robot(first, lines, beside).encode()
     with disk.explained(f"--out: writing {out}", out, advice="choose another file"):

@@ -7,8 +7,7 @@ from importlib.resources import files
 import jinja2
 from markupsafe import Markup
 
-from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing
-from pipeline.report.palette import LOOKS, OTHERS, page_color, palette_css
+from pipeline.report.drawing import Drawing
 
 _MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text is then as large as a heading
 
@@ -36,7 +35,7 @@ def document(*, title: str, policy: str, body: str, css: str = "") -> str:
         body: HTML.
         css: styles in addition to page.css.
     """
-    styles = f"{resource('page.css').rstrip()}\n{palette_css()}{css}"
+    styles = f"{resource('page.css').rstrip()}\n{css}"
     return TEMPLATES.get_template("document.html").render(
         title=title, policy=Markup(policy), css=Markup(styles), body=Markup(body.rstrip())
     )
@@ -48,7 +47,7 @@ def absent(title: str, reason: str) -> Markup:
 
 
 def inline_svg(drawing: Drawing) -> Markup:
-    """Make a figure part of the page: with ids of its own, and colours that follow the page's."""
+    """Make a figure part of the page, with ids of its own."""
     svg = drawing.svg.decode("utf-8")
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", svg)
@@ -60,14 +59,4 @@ def inline_svg(drawing: Drawing) -> Markup:
     svg = svg.replace("<svg", f'<svg style="max-width: {_MOST_PIXELS_PER_UNIT * width:.0f}px"', 1)
     svg = re.sub(r'\bid="', f'id="{drawing.name}-', svg)
     svg = re.sub(r'((?:xlink:)?href="#|url\(#)', rf"\g<1>{drawing.name}-", svg)
-    for hexadecimal, variable in _PAGE_COLORS.items():
-        svg = re.sub(hexadecimal, f"var({variable})", svg, flags=re.IGNORECASE)
     return Markup(svg.replace("<svg", f'<svg role="img" aria-label="{escape(drawing.description)}"', 1).strip())
-
-
-_PAGE_COLORS = {
-    INK: "--ink",
-    FAINT: "--faint",
-    PAPER_MARK: "--mark",
-    **{color: page_color(color) for look in (*LOOKS.values(), *OTHERS) for color in (look.color, look.adapted)},
-}

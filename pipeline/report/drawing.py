@@ -1,8 +1,7 @@
 """The common look of all figures, and their output as SVG and PNG. The same report always gives the same bytes.
 
 Figures are as narrow as a phone (360 units), so that their text stays legible there; a page may enlarge them. The SVG
-keeps text as text. It uses no colours but ``INK``, ``FAINT``, ``PAPER_MARK`` and those of the environments, which the
-page replaces by its own in dark mode.
+keeps text as text.
 """
 
 import io

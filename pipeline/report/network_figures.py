@@ -21,7 +21,7 @@ from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemb
 from tasks.arrays import Float64, Int64
 
 _DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
-"""Opacity grows with the number of designs, so that it is legible on a light and on a dark page."""
+"""Opacity grows with the number of designs."""
 _N_BINS = 48
 _COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")  # of projectiles, from short to long
 _VIEW = 20.0  # distance shown to either side of the start of a throw [m]

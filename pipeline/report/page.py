@@ -1,4 +1,4 @@
-"""The page of a study: one HTML file that loads nothing else, for desktop and phone, in light and dark mode.
+"""The page of a study: one HTML file that loads nothing else, for desktop and phone.
 
 Text lives in page.html and viewer.html, which loop over the tables that tasks/analysis/tables registers and the figures
 below. Every value that comes from a study is escaped.
@@ -274,7 +274,7 @@ def viewer_values(replays: Sequence[Replay], study: str) -> dict[str, Any]:
         "replays": replays,
         "groups": groups,
         "opened": opened,
-        "overlays": list(dict.fromkeys(overlay.label for replay in replays for overlay in replay.overlays)),
+        "has_colours": any(replay.disagreement is not None for replay in replays),
         "data": Markup(data),
         "scripts": Markup("\n".join(resource(name) for name in _SCRIPTS)),
     }

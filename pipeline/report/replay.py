@@ -20,19 +20,8 @@ STEPS_PER_FRAME = 2
 
 QUANTUM = 1e-3  # step of the encoded coordinates [m and rad]; the page is within half of it of the trace
 
-MOST_ACCELERATION = 60.0  # acceleration at which arrows stop growing [m/s²]; six times gravity
-
 Surroundings = Literal["air", "true slush", "hallucinated slush", "another medium"]
 """What fills the space above the ground and below y = 0."""
-
-
-@dataclass(frozen=True, eq=False)
-class Overlay:
-    """A number for every link and frame, shown as the colour of the link and as a line over time."""
-
-    label: str
-    unit: str  # such as "m/s²"
-    values: Float64  # (n_frames, n_links), not negative; NaN where unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +38,7 @@ class Replay:
     parent_attachment: Float64  # (n_links,) position of the joint on the parent's long axis [half heights]
     frames: Float64  # (n_frames, n_links, 3) x, y [m], angle [rad]
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME  # frames per second
-    overlays: tuple[Overlay, ...] = ()  # further numbers for each link and frame
-    push: Float64 | None = None  # (n_frames, n_links, 2) acceleration by the medium [m/s²], where it is known
+    disagreement: Float64 | None = None  # (n_frames, n_links) of the members of an ensemble [m/s²]; NaN where unknown
     color: str = "#566270"  # of the robot in a film: that of the arm where it evolved
     robot: str = ""  # address of the robot on the page and name of its design file; "" if it has none
     group: str = ""  # heading of the viewer's list under which it is found, such as "Residual Slush, 9 m"
@@ -108,12 +96,11 @@ def replay_of(
     surroundings: Surroundings,
     n_settle: int,
     time_step: float = Physics().time_step,
-    overlays: tuple[Overlay, ...] = (),
-    push: Float64 | None = None,
+    disagreement: Float64 | None = None,
 ) -> Replay:
     """Return the replay of a design from its (n_steps, n_links, 6) trace, without ``n_settle`` steps at the start.
 
-    The other arguments are fields of :class:`Replay`; overlays and push are at its frames, see :func:`at_frames`.
+    The other arguments are fields of :class:`Replay`; disagreement is at its frames, see :func:`at_frames`.
 
     Raises:
         ValueError: the rollout diverged.
@@ -131,8 +118,7 @@ def replay_of(
         parent_attachment=design.parent_attachment[0],
         frames=at_frames(trace[..., :3], n_settle),
         fps=1 / (STEPS_PER_FRAME * time_step),
-        overlays=overlays,
-        push=push,
+        disagreement=disagreement,
     )
 
 
@@ -167,10 +153,7 @@ def encode(replay: Replay) -> dict[str, Any]:
         "first": [int(value) for value in quanta[0].ravel()],  # n_links × (x, y, angle), in quanta
         # (n_frames - 1, n_links, 3): change of the change from frame to frame, in quanta; see _packed.
         "steps": base64.b64encode(_packed(_second_differences(quanta).ravel())).decode("ascii"),
-        "overlays": [_encode_overlay(overlay) for overlay in replay.overlays],
-        "pushQuantum": MOST_ACCELERATION / 127,  # [m/s²]
-        # int8, (n_frames, n_links, 2), in its quanta; empty where it is not known.
-        "push": "" if replay.push is None else _base64(_encode_push(replay.push)),
+        "disagreement": None if replay.disagreement is None else _encode_disagreement(replay.disagreement),
     }
 
 
@@ -195,27 +178,13 @@ def _packed(values: Int64) -> bytes:
     return packed.tobytes()
 
 
-def _encode_overlay(overlay: Overlay) -> dict[str, Any]:
-    known = np.isfinite(overlay.values)
+def _encode_disagreement(values: Float64) -> dict[str, Any]:
+    known = np.isfinite(values)
     # The 95th percentile, so that peaks do not make the rest pale.
-    most = float(np.quantile(overlay.values[known], 0.95)) if known.any() else 0.0
-    most = max(most, 1e-9)
-    levels = np.rint(np.clip(np.where(known, overlay.values, 0.0) / most, 0, 1) * 254)
+    most = max(float(np.quantile(values[known], 0.95)) if known.any() else 0.0, 1e-9)
+    levels = np.rint(np.clip(np.where(known, values, 0.0) / most, 0, 1) * 254)
     return {
-        "label": overlay.label,
-        "unit": overlay.unit,
-        "most": float(f"{most:.4g}"),  # value of level 254
+        "most": float(f"{most:.4g}"),  # value of level 254 [m/s²]
         # uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value.
-        "levels": _base64(np.where(known, levels, 255).astype(np.uint8)),
+        "levels": base64.b64encode(np.where(known, levels, 255).astype(np.uint8).tobytes()).decode("ascii"),
     }
-
-
-def _encode_push(push: Float64) -> npt.NDArray[np.int8]:
-    """Round to quanta; vectors that are too long are shortened and keep their direction."""
-    size = np.linalg.norm(push, axis=-1, keepdims=True)
-    shortened = push * np.minimum(1.0, MOST_ACCELERATION / np.maximum(size, 1e-9))
-    return np.asarray(np.rint(shortened * 127 / MOST_ACCELERATION), dtype=np.int8)
-
-
-def _base64(array: npt.NDArray[np.generic]) -> str:
-    return base64.b64encode(array.tobytes()).decode("ascii")

@@ -28,8 +28,7 @@ const robots = (() => {
     replay.centers = centersOfMass(replay);
     replay.center = smooth(replay.centers, Math.round(replay.fps));
     replay.extent = verticalExtent(replay);
-    replay.overlays = encoded.overlays.map((overlay) => ({ ...overlay, levels: bytesOf(overlay.levels) }));
-    replay.push = encoded.push && new Int8Array(bytesOf(encoded.push).buffer);
+    if (encoded.disagreement) replay.disagreement = { ...encoded.disagreement, levels: bytesOf(encoded.disagreement.levels) };
     return replay;
   }
 
@@ -77,19 +76,17 @@ const robots = (() => {
     return { frame: Math.round(place), links, center: between(replay.center), mass: between(replay.centers) };
   }
 
-  // The values of an overlay at a frame, as shares of the value of the darkest colour; null where unknown.
-  function sharesAt(replay, label, frame, most) {
-    const overlay = replay.overlays.find((candidate) => candidate.label === label);
-    if (!overlay) return null;
-    const levels = overlay.levels.subarray(frame * replay.nLinks, (frame + 1) * replay.nLinks);
-    return Array.from(levels, (level) => (level === 255 ? null : level / 254 * overlay.most / most));
+  // The members' disagreement at a frame, as shares of the value of the darkest colour; null where unknown.
+  function sharesAt(replay, frame, most) {
+    if (!replay.disagreement) return null;
+    const levels = replay.disagreement.levels.subarray(frame * replay.nLinks, (frame + 1) * replay.nLinks);
+    return Array.from(levels, (level) => (level === 255 ? null : level / 254 * replay.disagreement.most / most));
   }
 
   // -- colours --------------------------------------------------------------------------------------------------------
 
   // Cached, because a page that plays twenty robots needs colours thousands of times per second.
-  let palette = {};
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { palette = {}; });
+  const palette = {};
 
   function color(name) {
     palette[name] ??= getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
@@ -108,7 +105,7 @@ const robots = (() => {
 
   // -- drawing --------------------------------------------------------------------------------------------------------
 
-  // Draw a replay at a time into a box of a canvas. Options: follow, caption (with scale), overlay (a label), most, push,
+  // Draw a replay at a time into a box of a canvas. Options: follow, caption (with scale), colored (by disagreement), most,
   // and together: the replays in boxes of the same size that have the same scale and waterline.
   function drawPane(context, replay, time, box, options) {
     const { links, center, mass, frame } = poseAt(replay, time);
@@ -126,7 +123,7 @@ const robots = (() => {
       context.fillRect(0, surface, box.width, Math.max(box.height - surface, 0));
     }
     drawDistances(context, replay, camera, box);
-    const shares = options.overlay ? sharesAt(replay, options.overlay, frame, options.most) : null;
+    const shares = options.colored ? sharesAt(replay, frame, options.most) : null;
     drawRobot(context, replay, links, camera, shares);
     if (replay.hasMedium && surface < box.height) {
       context.globalAlpha = shares ? 0.12 : 0.45; // colours with a meaning are not dimmed
@@ -149,7 +146,6 @@ const robots = (() => {
       context.fillRect(0, ground - 1, box.width, 2);
     }
     drawCenterOfMass(context, camera.x(mass[0]), camera.y(mass[1]));
-    if (options.push && replay.push) drawPush(context, replay, links, frame, camera);
     if (options.caption) {
       drawScale(context, replay, camera, box);
       drawCaption(context, replay, links, mass, box);
@@ -224,30 +220,6 @@ const robots = (() => {
       context.arc(x, y, radius, from, from + Math.PI / 2);
       context.fill();
     }
-  }
-
-  // An arrow from each link's centre: its acceleration by the medium, 1 m for 15 m/s².
-  function drawPush(context, replay, links, frame, camera) {
-    context.strokeStyle = context.fillStyle = color("mark");
-    context.lineWidth = 2;
-    links.forEach(([x, y], link) => {
-      const at = 2 * (frame * replay.nLinks + link), metre = camera.scale / 15 * replay.pushQuantum;
-      const dx = replay.push[at] * metre, dy = -replay.push[at + 1] * metre, length = Math.hypot(dx, dy);
-      if (length < 4) return;
-      context.save();
-      context.translate(camera.x(x), camera.y(y));
-      context.rotate(Math.atan2(dy, dx));
-      context.beginPath();
-      context.moveTo(0, 0);
-      context.lineTo(length - 5, 0);
-      context.stroke();
-      context.beginPath();
-      context.moveTo(length, 0);
-      context.lineTo(length - 7, -4);
-      context.lineTo(length - 7, 4);
-      context.fill();
-      context.restore();
-    });
   }
 
   function dot(context, x, y, radius, fill, edge) {

@@ -23,7 +23,6 @@ from pipeline.report.drawing import (
 )
 from pipeline.report.palette import Look
 from tasks.analysis import paper
-from tasks.analysis.estimates import finite
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TransferRow, papers_mean
 from tasks.arrays import Float64
@@ -53,7 +52,7 @@ def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]
             if mean.value is None:
                 continue
             own = [one for one in scores if (one.environment, one.depth) == (row.environment, depth)]
-            values = finite(np.array([getattr(one, quantity) for one in own]))
+            values = np.array([value for one in own if np.isfinite(value := getattr(one, quantity))])
             adapted = quantity == "adapted"
             color = look.adapted if adapted else look.color
             axes.bar(center, mean.value, 0.62, ec=look.color, lw=1.0, fc=color, hatch="////" if adapted else "")

@@ -29,10 +29,9 @@
     const paneHeight = Math.round(Math.min(420, Math.max(260, width * 0.5))) * (stacked ? 0.85 : 1);
     const context = prepare(canvas, Math.round(paneHeight * (stacked ? state.panes.length : 1)));
     const options = {
-      follow: control("follow").checked, caption: true, overlay: control("overlay").value, push: control("push").checked,
-      together: state.panes,
+      follow: control("follow").checked, caption: true, colored: control("disagreement").checked, together: state.panes,
     };
-    options.most = mostOf(options.overlay);
+    options.most = darkest();
     state.panes.forEach((replay, index) => {
       const paneWidth = stacked ? width : width / state.panes.length;
       const box = { left: stacked ? 0 : index * paneWidth, top: stacked ? index * paneHeight : 0, width: paneWidth, height: paneHeight };
@@ -45,23 +44,22 @@
     control("scrub").max = duration();
     control("scrub").value = state.time;
     control("time").textContent = state.time.toFixed(1) + " / " + duration().toFixed(1) + " s";
-    drawTimeline(options.overlay, options.most);
+    drawTimeline(options.colored, options.most);
   }
 
   // The value of the darkest colour, the same for all robots shown so that they can be compared.
-  function mostOf(label) {
-    const shown = state.panes.flatMap((replay) => replay.overlays.filter((overlay) => overlay.label === label));
-    return Math.max(...shown.map((overlay) => overlay.most), 1e-9);
+  function darkest() {
+    return Math.max(...state.panes.map((replay) => replay.disagreement?.most ?? 0), 1e-9);
   }
 
-  // The mean over links of the colours' value, a line for each robot, and the current time.
-  function drawTimeline(label, darkest) {
-    const shown = state.panes.filter((replay) => replay.overlays.some((overlay) => overlay.label === label));
+  // The mean disagreement over links, a line for each robot, and the current time.
+  function drawTimeline(colored, darkest) {
+    const shown = state.panes.filter((replay) => colored && replay.disagreement);
     control("line").hidden = shown.length === 0;
     if (shown.length === 0) return;
     const context = prepare(timeline, 64), width = timeline.clientWidth, height = 64;
     context.clearRect(0, 0, width, height);
-    const lines = shown.map((replay) => meanOverLinks(replay, label, darkest));
+    const lines = shown.map((replay) => meanOverLinks(replay, darkest));
     const most = Math.max(...lines.flat().filter((value) => value !== null), 1e-9);
     lines.forEach((line, index) => {
       context.beginPath();
@@ -81,8 +79,7 @@
     context.fillStyle = color("ink");
     context.fillRect(state.time / duration() * width - 1, 0, 2, height);
     const ramp = [0, 0.25, 0.5, 0.75, 1].map((share) => heat(share)).join(", ");
-    const unit = shown[0].overlays.find((overlay) => overlay.label === label).unit;
-    const scale = " " + darkest.toPrecision(2) + " " + unit + " or more. Line: mean over links, up to " + most.toPrecision(2) + " " + unit + ".";
+    const scale = " " + darkest.toPrecision(2) + " m/s² or more. Line: mean over links, up to " + most.toPrecision(2) + " m/s².";
     const which = shown.length > 1 ? " Solid: in " + shown[0].seenIn + "; dashed: in " + shown[1].seenIn + "." : "";
     const legend = control("legend"), text = scale + which;
     if (legend.dataset.text !== text) {
@@ -92,9 +89,9 @@
     }
   }
 
-  function meanOverLinks(replay, label, most) {
+  function meanOverLinks(replay, most) {
     return Array.from({ length: replay.nFrames }, (_, frame) => {
-      const known = sharesAt(replay, label, frame, most).filter((share) => share !== null);
+      const known = sharesAt(replay, frame, most).filter((share) => share !== null);
       return known.length ? known.reduce((sum, share) => sum + share, 0) / known.length * most : null;
     });
   }
@@ -143,7 +140,6 @@
     state.panes = [index, ...(other < 0 ? [] : [other])].map(replayAt);
     state.time = 0;
     showRobot(encoded[index]);
-    control("push").disabled = !state.panes.some((replay) => replay.push);
     draw();
   }
 
@@ -207,14 +203,13 @@
   control("play").addEventListener("click", () => play(!state.playing));
   control("scrub").addEventListener("input", (event) => seek(Number(event.target.value)));
   control("speed").addEventListener("change", (event) => { state.speed = Number(event.target.value); });
-  for (const id of ["follow", "overlay", "push"]) control(id).addEventListener("change", draw);
+  for (const id of ["follow", "disagreement"]) control(id).addEventListener("change", draw);
   const seekOnLine = (event) => {
     if (event.buttons) seek(event.offsetX / timeline.clientWidth * duration());
   };
   timeline.addEventListener("pointerdown", seekOnLine);
   timeline.addEventListener("pointermove", seekOnLine);
   new ResizeObserver(draw).observe(canvas); // also when a frame around the page appears, as in MLflow
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   for (const film of document.querySelectorAll(".film")) {
     film.addEventListener("click", () => {
       choice.value = film.dataset.replay;

@@ -7,13 +7,13 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.report.page import robot_address
 from pipeline.report.palette import looks_of
-from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
+from pipeline.report.replay import Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import environments
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.study_data import StudyFiles
 from pipeline.workflow.identity import arms_of
 from pipeline.workflow.stage import Execution
-from tasks.analysis.hallucination import acceleration, disagreement, link_states, predicted_accelerations
+from tasks.analysis.hallucination import disagreement
 from tasks.analysis.registry import Champion
 from tasks.arrays import Float64
 from tasks.design import Designs
@@ -49,7 +49,7 @@ def _arms(study: StudyFiles) -> list[list[Champion]]:
 
 
 def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
-    """Return replays of an arm's best champion, with the push of the slush and where the members disagree.
+    """Return replays of an arm's best champion, with how much the members disagree.
 
     It is the best zero-shot, or the best where it evolved if none survives True Slush.
     """
@@ -59,9 +59,9 @@ def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
     survives = bool(np.isfinite(scored).any())
     best = own[int(np.nanargmax(scored if survives else [champion.fitness for champion in own]))]
     ensemble = study.ensemble(best) if study.networks else None
-    replays = [_in_true_slush(study, best, with_push=True, ensemble=ensemble)] if survives else []
+    replays = [_in_true_slush(study, best, ensemble)] if survives else []
     if best.environment != "true_slush":
-        replays.append(_replay(study, best, best.environment, study.home(best), with_push=True, ensemble=ensemble))
+        replays.append(_replay(study, best, best.environment, study.home(best), ensemble))
     mean = float(np.nanmean(scored)) if survives else np.nan
     return [replace(replay, best=True, arm_mean=mean) for replay in replays if replay]
 
@@ -70,11 +70,8 @@ def _address(champion: Champion) -> str:
     return robot_address(champion.environment, champion.depth, champion.trial)
 
 
-def _in_true_slush(
-    study: StudyFiles, champion: Champion, *, with_push: bool = False, ensemble: EnsembleMedium | None = None
-) -> Replay | None:
-    at = study.true_slush(champion.depth)
-    return _replay(study, champion, "true_slush", at, with_push=with_push, ensemble=ensemble)
+def _in_true_slush(study: StudyFiles, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
+    return _replay(study, champion, "true_slush", study.true_slush(champion.depth), ensemble)
 
 
 def _replay(
@@ -82,8 +79,6 @@ def _replay(
     champion: Champion,
     seen_in: EnvironmentName,
     environment: Environment,
-    *,
-    with_push: bool,
     ensemble: EnsembleMedium | None,
 ) -> Replay | None:
     label = environment_kind(champion.environment).label
@@ -94,7 +89,6 @@ def _replay(
         environment,
         study.spec.simulation,
         title=f"{label}, trial {champion.trial}",
-        with_push=with_push,
         ensemble=ensemble,
         number=study.member(champion),
     )
@@ -113,7 +107,6 @@ def replay_in(
     simulation: SimulationSpec,
     *,
     title: str,
-    with_push: bool,
     ensemble: EnsembleMedium | None,
     number: int | None = None,
 ) -> Replay | None:
@@ -126,7 +119,6 @@ def replay_in(
         environment: the environment.
         simulation: settings of the simulation.
         title: heading.
-        with_push: whether to show the push of the medium.
         ensemble: whose members' disagreement to show, if any.
         number: of the network in its data set, where it is not its place in the ensemble.
     """
@@ -136,15 +128,9 @@ def replay_in(
     trace = rollouts.trace if member is None else rollouts.trace[member]
     if not np.isfinite(trace).all():
         return None
-    push, overlays = None, list[Overlay]()
-    if with_push and kind.learned:
-        predicted, _ = predicted_accelerations(design, trace, environment.medium, physics)  # type: ignore[arg-type]
-        push = at_frames(predicted[member or 0, 0, ..., :2], n_settle)
-    elif with_push and (medium := environment.components[member or 0].medium) is not None:
-        push = at_frames(acceleration(medium, link_states(design, trace, physics), physics)[0, ..., :2], n_settle)
+    doubts = None
     if ensemble is not None and ensemble.n_members > 1:
         doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
-        overlays.append(Overlay("disagreement of the members", "m/s²", doubts))
     label = "Residual Slush" if kind.learned else kind.label
     fills: dict[str, Surroundings] = {"dry_land": "air", "true_slush": "true slush"}
     return replay_of(
@@ -157,8 +143,7 @@ def replay_in(
         surroundings="hallucinated slush" if kind.learned else fills.get(name, "another medium"),
         n_settle=n_settle,
         time_step=physics.time_step,
-        overlays=tuple(overlays),
-        push=push,
+        disagreement=doubts,
     )
 
 
@@ -180,7 +165,7 @@ def tank_replays(settings: Settings, champion: Champion, execution: Execution) -
     for name, at, words in (("true_slush", filled, "the tank"), ("dry_land", drained, "the drained tank")):
         rollouts = environments.roll_out(simulation, execution, at, champion.design, trace=True)
         title = f"To build: evolved {evolved}, trial {champion.trial}, in {words}"
-        replay = replay_in(champion.design, rollouts, name, at, simulation, title=title, with_push=False, ensemble=None)
+        replay = replay_in(champion.design, rollouts, name, at, simulation, title=title, ensemble=None)
         if replay is not None:
             replays.append(replace(replay, seen_in=words, depth=round(at.depth, 2)))
     return replays

@@ -18,18 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 import scipy
 
-from tasks.analysis.estimates import (
-    LEVEL,
-    RESOLUTION,
-    Estimate,
-    Mean,
-    Sample,
-    error_of,
-    is_constant,
-    is_nested,
-    mean_of,
-    sum_of_means,
-)
+from tasks.analysis.estimates import Estimate, Mean, Sample, error_of, mean_of, sum_of_means
 from tasks.analysis.paper import NEGLIGIBLE
 from tasks.analysis.registry import column
 from tasks.analysis.scores import BEST, QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
@@ -65,7 +54,6 @@ class Comparison:
     a: str = column("A", form=written_arm, meaning="Environment where A evolved, and the quantity.")
     b: str = column("B", form=written_arm, meaning="The same of B, the reference.")
     depth: float = column("depth", "m", form="{:g}")
-    n_replicates: int = column("replicates", form="{}", shown=False, meaning="The larger number of both groups.")
     of_a: Mean = column("mean of A", "m")
     of_b: Mean = column("mean of B", "m")
     difference: Estimate = column("A − B", "m", meaning="Difference of the means, with the interval that decides.")
@@ -102,7 +90,6 @@ def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, be
         "/".join(a),
         "/".join(b),
         depth,
-        max(x.n_replicates, y.n_replicates),
         mean_of(x.values),
         mean_of(y.values),
         gap,
@@ -115,20 +102,13 @@ def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, be
 
 def difference(x: Sample, y: Sample) -> tuple[Estimate, float | None]:
     """Estimate the difference of the means of x and y, and return the p-value of its two-sided test."""
-    if min(len(x), len(y)) == 0:
-        return Estimate(None), None
-    value = float(x.values.mean() - y.values.mean())
-    if np.array_equal(x.values, y.values):  # the very same trials in two studies
-        return Estimate(value, value, value), None
-    if min(len(x), len(y)) < 2 or all(is_constant(one.values, resolution=RESOLUTION) for one in (x, y)):
-        return Estimate(value), None
-    if is_nested(x, y):
-        error = error_of(x, y)
-        p = float(2 * scipy.stats.t.sf(abs(value) / math.sqrt(error.variance), error.freedom))
-        return sum_of_means(x, y.scaled(-1)), p
-    test = scipy.stats.ttest_ind(x.values, y.values, equal_var=False)
-    low, high = test.confidence_interval(LEVEL)
-    return Estimate(value, float(low), float(high)), float(test.pvalue)
+    if len(x) and np.array_equal(x.values, y.values):  # the very same trials in two studies
+        return Estimate(0.0, 0.0, 0.0), None
+    gap = sum_of_means(x, y.scaled(-1))
+    if gap.value is None or gap.interval is None:
+        return gap, None
+    error = error_of(x, y)
+    return gap, float(2 * scipy.stats.t.sf(abs(gap.value) / math.sqrt(error.variance), error.freedom))
 
 
 def holm(p: Sequence[float | None]) -> list[float | None]:

@@ -25,6 +25,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -66,16 +67,11 @@ class Mean:
 
 def mean_of(values: Floats) -> Mean:
     """Return the mean and deviation of the finite values."""
-    known = finite(values)
+    known = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
     if len(known) == 0:
         return Mean(None)
     return Mean(float(known.mean()), float(known.std(ddof=1)) if len(known) > 1 else None, len(known))
-
-
-def finite(values: Floats) -> Float64:
-    """Return the finite values as float64."""
-    wide = np.asarray(values, dtype=np.float64)
-    return wide[np.isfinite(wide)]
 
 
 def is_constant(values: Floats, *, resolution: float = 0.0) -> bool:
@@ -97,11 +93,6 @@ class Sample:
     def __len__(self) -> int:
         return len(self.values)
 
-    @property
-    def n_replicates(self) -> int:
-        """Number of replicates with a trial."""
-        return len(np.unique(self.replicate))
-
 
 def sample_of(values: Floats, replicate: Int64) -> Sample:
     """Return the finite ones of (n_trials,) values with their (n_trials,) replicates."""
@@ -112,8 +103,7 @@ def sample_of(values: Floats, replicate: Int64) -> Sample:
 # -- the hierarchy of replicates -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Error:
+class Error(NamedTuple):
     """The squared standard error of a mean, or of a sum of means, and its degrees of freedom."""
 
     variance: float
@@ -122,22 +112,11 @@ class Error:
 
 @dataclass(frozen=True)
 class Components:
-    """The variances of a group of two or more trials; NaN where replicates can't tell them apart."""
+    """The variances of a group of two or more trials; where replicates can't tell them apart, one of them is 0."""
 
     between: float  # σ_a²
     within: float  # σ_e²
     error: Error  # of the mean over all trials
-
-    def of_one_replicate(self, n: int, n_replicates: int) -> float:
-        """Return the variance of the mean of n trials of a single replicate, as far as it is known."""
-        if math.isnan(self.within):  # perhaps all variance is between replicates
-            return self.error.variance * n_replicates
-        return (0.0 if math.isnan(self.between) else self.between) + self.within / n
-
-
-def is_nested(*samples: Sample) -> bool:
-    """Return whether any sample has trials of several replicates."""
-    return any(sample.n_replicates > 1 for sample in samples)
 
 
 def within_replicates(sample: Sample) -> tuple[float, int]:
@@ -155,15 +134,15 @@ def components(sample: Sample) -> Components:
     n_replicates, pooled = len(sizes), float(y.var(ddof=1))
     independent = Error(pooled / n, n - 1)
     if n_replicates == 1:
-        return Components(math.nan, pooled, independent)
-    if n_replicates == n:
-        return Components(math.nan, math.nan, independent)
-    means, (msw, freedom_within) = np.bincount(own, y) / sizes, within_replicates(sample)
-    msb = float(sizes @ (means - y.mean()) ** 2) / (n_replicates - 1)
-    k = float(sizes @ sizes) / n
-    n0 = (n - k) / (n_replicates - 1)
+        return Components(0.0, pooled, independent)
+    if n_replicates == n:  # perhaps all variance is between replicates
+        return Components(pooled, 0.0, independent)
+    msw, freedom_within = within_replicates(sample)
+    msb = float(sizes @ (np.bincount(own, y) / sizes - y.mean()) ** 2) / (n_replicates - 1)
     if msb <= msw:
         return Components(0.0, pooled, independent)
+    k = float(sizes @ sizes) / n
+    n0 = (n - k) / (n_replicates - 1)
     parts = msb * k / n0, msw * (1 - k / n0)  # their sum is N var ȳ; the second is 0 in balanced groups
     freedom = sum(parts) ** 2 / (parts[0] ** 2 / (n_replicates - 1) + parts[1] ** 2 / freedom_within)
     return Components((msb - msw) / n0, msw, Error(sum(parts) / n, freedom))
@@ -202,7 +181,7 @@ def ratio(part: Sample, whole: Sample, *, rng: Generator) -> Estimate:
     """
     if min(len(part), len(whole)) == 0 or whole.values.mean() <= RESOLUTION:
         return MISSING
-    if not is_nested(part, whole):
+    if all(len(np.unique(group.replicate)) < 2 for group in (part, whole)):
         return bootstrap(_ratio, part.values[:, None], whole.values[:, None], rng=rng)[0]
     value = float(part.values.mean() / whole.values.mean())
     reference = sum_of_means(whole)

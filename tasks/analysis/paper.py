@@ -75,11 +75,3 @@ STATEMENTS = (
     Statement(("residual_slush", "zero_shot"), _DRY_LAND, "greater", (DEPTH,), _ZERO_SHOT),
 )
 """For the sweep over depths the paper does not name the controllers; its Fig. 4B shows the adapted ones."""
-
-CROSSES_THE_TANK = "the built robot crosses the tank of slush"
-STAYS_ON_DRY_LAND = "the built robot moves on dry land"
-PHYSICAL: Mapping[str, tuple[str, str]] = {
-    CROSSES_THE_TANK: ("8 of 8 trials", "Fig. 5"),
-    STAYS_ON_DRY_LAND: ("a few centimetres in 150 s, in 6 of 6 trials", "Fig. 5"),
-}
-"""Results of the built robot."""

@@ -1,10 +1,9 @@
 """A run's comparison with the paper's results, number by number and statement by statement.
 
-- A number agrees if the difference from the paper's is shown to be negligible. The interval of the difference is this
-  run's 95 % interval widened by √(1 + n / n_paper), because the paper's number comes from a sample too: variances add
-  and are proportional to 1/n, where n counts trials. The paper's deviation, which it does not give, is taken to be this
-  run's. The paper has one data set and one ensemble: where this run has several, its variance between them counts in
-  full for the paper.
+- A number agrees if the difference from the paper's is shown to be negligible. The interval of the difference is wider
+  than this run's, because the paper's number comes from a sample too: variances add. The paper's deviation, which it
+  does not give, is taken to be this run's. The paper has one data set and one ensemble: where this run has several, its
+  variance between them counts in full for the paper.
 - The statement that single members vary more agrees if the whole interval of the ratio is above 1. Deviations are from
   the replicate's mean, because the paper has one replicate.
 - A range over members agrees if it contains the interval of this run's median member.
@@ -25,7 +24,7 @@ import scipy
 from numpy.random import Generator
 
 from tasks.analysis import paper as stated
-from tasks.analysis.comparison import VERDICTS, Comparison, Verdict, compare, holm, judge, p_value
+from tasks.analysis.comparison import VERDICTS, Verdict, compare, holm, judge, p_value
 from tasks.analysis.estimates import (
     LEVEL,
     RESOLUTION,
@@ -33,13 +32,12 @@ from tasks.analysis.estimates import (
     Sample,
     components,
     error_of,
-    is_nested,
     linearised,
     ratio,
     sum_of_means,
     within_replicates,
 )
-from tasks.analysis.paper import DEPTH, N_ASSESSED, N_TRIALS, Figure, Statement
+from tasks.analysis.paper import DEPTH, N_ASSESSED, N_TRIALS, Figure
 from tasks.analysis.registry import StudyData, analysis, column
 from tasks.analysis.scores import BEST, ScoredTrial, arm_name, sample
 from tasks.analysis.tables.regressions import Accuracy, accuracy_of
@@ -67,11 +65,7 @@ class PaperRow:
 def written(found: Estimate, form: str) -> str:
     """Write an estimate with its interval in brackets."""
     value = "–" if found.value is None else form.format(found.value)
-    return value if found.interval is None else f"{value} ({_interval(found, form)})"
-
-
-def _interval(found: Estimate, form: str) -> str:
-    return " to ".join(form.format(end) for end in found.interval or ())
+    return f"{value} ({' to '.join(map(form.format, found.interval))})" if found.interval else value
 
 
 def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
@@ -100,20 +94,23 @@ def paper(study: StudyData) -> list[PaperRow]:
 
 def _means(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     for arm, (value, source) in stated.MEANS.items():
-        own = sample(trials, arm, DEPTH)
-        bound, n = stated.NEGLIGIBLE * stated.MEANS[BEST][0], len(own)
-        found, n_paper = sum_of_means(own), _papers_trials(n, own)
-        yield from _number(f"{arm_name(arm)} at {DEPTH:g} m [m]", value, "{:z.1f}", source, found, bound, n, n_paper)
+        own, what = sample(trials, arm, DEPTH), f"{arm_name(arm)} at {DEPTH:g} m [m]"
+        found, bound = sum_of_means(own), stated.NEGLIGIBLE * stated.MEANS[BEST][0]
+        yield from _number(what, value, "{:z.1f}", source, found, bound, _widened(own) if found.interval else 1.0)
 
 
 def _ratios(trials: Sequence[ScoredTrial], rng: Generator) -> Iterator[PaperRow]:
     for arm, (value, source) in stated.RATIOS.items():
         part, whole = sample(trials, arm, DEPTH), sample(trials, BEST, DEPTH)
-        found, n, n_paper = ratio(part, whole, rng=rng), min(len(part), len(whole)), float(N_TRIALS)
-        if found.interval is not None:
-            n_paper = _papers_trials(n, *linearised(part, whole))
-        what = f"{arm_name(arm)} / {arm_name(BEST)} at {DEPTH:g} m"
-        yield from _number(what, value, "{:z.0%}", source, found, stated.NEGLIGIBLE_RATIO, n, n_paper)
+        found, what = ratio(part, whole, rng=rng), f"{arm_name(arm)} / {arm_name(BEST)} at {DEPTH:g} m"
+        wider = _widened(*linearised(part, whole)) if found.interval else 1.0
+        yield from _number(what, value, "{:z.0%}", source, found, stated.NEGLIGIBLE_RATIO, wider)
+
+
+def _widened(*samples: Sample) -> float:
+    """Return the factor by which the paper's own trials, if they vary like these, widen the interval of their sum."""
+    of_paper = sum(found.between + found.within / N_TRIALS for found in map(components, samples))
+    return math.sqrt(1 + of_paper / error_of(*samples).variance)
 
 
 def _variation(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
@@ -130,51 +127,37 @@ def _variation(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     yield PaperRow("number", what, "above 1", this_run, "the interval, above 1", verdict, found, None, source)
 
 
-def _papers_trials(n: int, *samples: Sample) -> float:
-    """Return the number of trials for which the paper's variance is this run's times n / n_paper.
-
-    Args:
-        n: this run's trials.
-        *samples: their values; this run's estimate is the sum of the means.
-    """
-    if not is_nested(*samples):
-        return N_TRIALS
-    of_paper = sum(components(sample).of_one_replicate(N_TRIALS, sample.n_replicates) for sample in samples)
-    return n * error_of(*samples).variance / of_paper
-
-
 def _figures(accuracy: Accuracy) -> Iterator[PaperRow]:
     """Compare the ranges of R and slope over the members, and those of the aggregates."""
+    form = "{:z.2f}"
     for figure, (low, high, source) in stated.RANGES.items():
-        lowest, median, highest = accuracy.ranges[figure]
-        if lowest.value is None or highest.value is None or median.value is None:
-            continue
-        form = "{:z.2f}"
-        this_run = f"{form.format(lowest.value)} to {form.format(highest.value)}"
-        within = f"{form.format(low)} to {form.format(high)}"
-        decides = f"median member {written(median, form)}, within {within}"
-        what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
-        yield PaperRow("number", what, within, this_run, decides, judge(median, low, high), median, None, source)
+        median = accuracy.medians[figure]
+        of_members = [getattr(row, figure).value for row in accuracy.regressions if row.name.startswith("member ")]
+        known = [value for value in of_members if value is not None]
+        if known and median.value is not None:
+            this_run = f"{form.format(min(known))} to {form.format(max(known))}"
+            within = f"{form.format(low)} to {form.format(high)}"
+            decides = f"median member {written(median, form)}, within {within}"
+            what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
+            yield PaperRow("number", what, within, this_run, decides, judge(median, low, high), median, None, source)
+    wider = math.sqrt(
+        1 + accuracy.n_trials * accuracy.n_replicates / N_ASSESSED
+    )  # of R means, at least 1/R the variance
     for (predictor, figure), (value, source) in stated.AGGREGATES.items():
         for row in accuracy.regressions:
             if row.name == predictor:
-                what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
-                found, bound = getattr(row, figure), stated.NEGLIGIBLE_FIGURE[figure]
-                n_paper = N_ASSESSED / row.n_replicates  # of N replicates, the mean has at least 1/N the variance
-                yield from _number(what, value, "{:z.2f}", source, found, bound, row.n_resampled, n_paper)
+                what, bound = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m", stated.NEGLIGIBLE_FIGURE
+                yield from _number(what, value, form, source, getattr(row, figure), bound[figure], wider)
 
 
 def _number(
-    what: str, value: float, form: str, source: str, found: Estimate, bound: float, n: int, n_paper: float
+    what: str, value: float, form: str, source: str, found: Estimate, bound: float, wider: float
 ) -> Iterator[PaperRow]:
-    """Judge the difference between this run's number and the paper's."""
+    """Judge the difference between this run's number and the paper's, whose interval is wider by a factor."""
     if found.value is None:
         return
-    off, wider = found.value - value, math.sqrt(1 + n / n_paper)
-    gap = Estimate(off)
-    if found.interval is not None:
-        low, high = (off + wider * (end - found.value) for end in found.interval)
-        gap = Estimate(off, low, high)
+    off = found.value - value
+    gap = Estimate(off, *(off + wider * (end - found.value) for end in found.interval or ()))
     decides = f"Δ {written(gap, form)}, within ± {form.format(bound)}"
     verdict = judge(gap, -bound, bound)
     yield PaperRow("number", what, form.format(value), written(found, form), decides, verdict, found, None, source)
@@ -188,21 +171,16 @@ def _statements(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
         for row in reversed(compare(trials, trials, [(statement.a, statement.b)]))
         if row.depth in statement.depths and row.p is not None
     ]
-    corrected = holm([row.p for _, row in found])
-    yield from (_statement(statement, row, p or 0.0) for (statement, row), p in zip(found, corrected, strict=True))
-
-
-def _statement(statement: Statement, row: Comparison, p: float) -> PaperRow:
-    verdict, claim = row.verdict, statement.claim
-    if claim != "no difference":
-        as_claimed = ((row.difference.value or 0.0) > 0) == (claim == "greater")
-        if p < 1 - LEVEL:
-            verdict = "agrees" if as_claimed else "differs"
-        else:
-            verdict = "differs" if verdict == "agrees" else "cannot tell"  # it is negligible
-    limit = f"> {stated.INSIGNIFICANT:g}" if claim == "no difference" else f"< {stated.SIGNIFICANT:g}"
-    what = f"{arm_name(statement.a)} against {arm_name(statement.b)} at {row.depth:g} m [m]"
-    decides = f"Δ {written(row.difference, '{:z.1f}')}, negligible within ± {row.bound:.1f}"
-    this_run = f"n = {row.of_a.n} and {row.of_b.n}, p = {p:.2g}"
-    paper = f"{claim} (p {limit})"
-    return PaperRow("t test", what, paper, this_run, decides, verdict, row.difference, p, statement.source)
+    for (statement, row), p in zip(found, holm([row.p for _, row in found]), strict=True):
+        assert p is not None
+        verdict, claim, limit = row.verdict, statement.claim, f"> {stated.INSIGNIFICANT:g}"
+        if claim != "no difference":
+            limit = f"< {stated.SIGNIFICANT:g}"
+            if p < 1 - LEVEL:
+                verdict = "agrees" if ((row.difference.value or 0.0) > 0) == (claim == "greater") else "differs"
+            else:
+                verdict = "differs" if verdict == "agrees" else "cannot tell"  # it is negligible
+        what = f"{arm_name(statement.a)} against {arm_name(statement.b)} at {row.depth:g} m [m]"
+        decides = f"Δ {written(row.difference, '{:z.1f}')}, negligible within ± {row.bound:.1f}"
+        this_run, paper = f"n = {row.of_a.n} and {row.of_b.n}, p = {p:.2g}", f"{claim} (p {limit})"
+        yield PaperRow("t test", what, paper, this_run, decides, verdict, row.difference, p, statement.source)

@@ -8,7 +8,7 @@ ensembles; their intervals are by pseudo-values, those of R on Fisher's scale, w
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -42,10 +42,6 @@ class Regression:
 
     learned_from: str = column("ensemble", form=ensemble_name, meaning="Data set that it learned from.")
     name: str = column("by", form=predictor_name, meaning="A member, their mean μ, or μ less a deviation over members.")
-    n: int = column("designs", form="{:,}", shown=False)
-    n_left_out: int = column("left out", form="{:,}", shown=False, meaning="Designs that diverged in either.")
-    n_resampled: int = column("trials", form="{}", shown=False, meaning="What the intervals count as samples.")
-    n_replicates: int = column("replicates", form="{}", shown=False)
     r: Estimate = column("R", form="{:z.2f}", meaning="Pearson's correlation.")
     slope: Estimate = column("slope", form="{:z.2f}", meaning="Below 1, predictions are too optimistic.")
     intercept: Estimate = column("intercept", "m", form="{:z.2f}", shown=False)
@@ -53,10 +49,12 @@ class Regression:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """The regressions of an ensemble, and the lowest, median and highest figure over its members."""
+    """The regressions of an ensemble."""
 
     regressions: Sequence[Regression]
-    ranges: Mapping[Figure, tuple[Estimate, Estimate, Estimate]]
+    medians: Mapping[Figure, Estimate]  # over its members
+    n_trials: int  # samples of the intervals
+    n_replicates: int
 
 
 def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
@@ -99,43 +97,38 @@ def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64
 def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.random.Generator) -> Accuracy:
     """Regress true displacement on every predictor, with intervals from the same resamples."""
     predictors, y = predictors_of(assessed.predicted, deviation), assessed.true
-    fit = {
-        name: used
-        for name, x in predictors.items()
-        if (used := np.isfinite(x) & np.isfinite(y)).sum() >= _MIN_DESIGNS
-        and not is_constant(x[used], resolution=RESOLUTION)
-    }
+    moments, lines = list[Float64](), dict[str, Callable[[Float64], Float64]]()
+    for name, x in predictors.items():
+        used = np.isfinite(x) & np.isfinite(y)
+        if used.sum() >= _MIN_DESIGNS and not is_constant(x[used], resolution=RESOLUTION):
+            rows, lines[name] = _moments(x, y, used)
+            moments.append(rows)
     trials, first, trial = np.unique(assessed.trial, return_index=True, return_inverse=True)
-    moments, lines = [], []
-    for name, used in fit.items():
-        rows, line = _moments(predictors[name], y, used)
-        moments.append(rows)
-        lines.append(line)
-    members = [i for i, name in enumerate(fit) if name.startswith("member ")]
+    members = [i for i, name in enumerate(lines) if name.startswith("member ")]
 
     def figures(means: Float64) -> Float64:
-        """Return R, slope and intercept of each predictor, then the range of each figure over the members."""
-        found = np.stack([line(means[..., 6 * i : 6 * i + 6]) for i, line in enumerate(lines)], axis=-2)
-        ends = [end(found[..., members, :2], axis=-2) for end in (np.min, np.median, np.max)] if members else []
-        return np.concatenate([found.reshape(*found.shape[:-2], -1), *ends], axis=-1)
+        """Return R, slope and intercept of each predictor, then the medians of R and slope over the members."""
+        parts = np.split(means, len(lines), axis=-1)
+        found = np.stack([line(part) for line, part in zip(lines.values(), parts, strict=True)], axis=-2)
+        medians = [np.median(found[..., members, :2], axis=-2)] if members else []
+        return np.concatenate([found.reshape(*found.shape[:-2], -1), *medians], axis=-1)
 
     estimates: Sequence[Estimate] = ()
     replicate = assessed.replicate[first]
-    if fit:
-        sums = np.zeros((len(trials), 6 * len(fit)))
+    if lines:
+        sums = np.zeros((len(trials), 6 * len(lines)))
         np.add.at(sums, trial, np.concatenate(moments, axis=1))
-        is_r = np.array(([True, False, False] * len(fit)) + [True, False] * 3 * bool(members))
+        is_r = np.array([True, False, False] * len(lines) + [True, False] * bool(members))
         estimates = _estimated(figures, sums, replicate, is_r, rng)
-    of_fit = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(fit)}
-    ranges = estimates[3 * len(fit) :] or (MISSING,) * 6
+    of_fit = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(lines)}
+    r_of_members, slope_of_members = estimates[3 * len(lines) :] or (MISSING, MISSING)
     spread = not is_constant(y[np.isfinite(y)], resolution=RESOLUTION)
     found = []
-    for name, x in predictors.items():
+    for name in predictors:
         r, slope, intercept = of_fit.get(name, (MISSING,) * 3)
-        n = int((np.isfinite(x) & np.isfinite(y)).sum())
-        sizes = n, len(y) - n, len(trials), max(len(np.unique(replicate)), 1)
-        found.append(Regression(group, name, *sizes, r if spread else MISSING, slope, intercept))
-    return Accuracy(found, {"r": tuple(ranges[0::2]), "slope": tuple(ranges[1::2])})  # type: ignore[dict-item]
+        found.append(Regression(group, name, r if spread else MISSING, slope, intercept))
+    medians: dict[Figure, Estimate] = {"r": r_of_members, "slope": slope_of_members}
+    return Accuracy(found, medians, len(trials), max(len(np.unique(replicate)), 1))
 
 
 def _moments(x: Float64, y: Float64, used: Bools) -> tuple[Float64, Callable[[Float64], Float64]]:
@@ -169,9 +162,7 @@ def _estimated(
         found = figures(means)
         return np.where(is_r, np.arctanh(np.clip(found, -_HIGHEST_R, _HIGHEST_R)), found)
 
-    found = of_means(on_fishers_scale, rows, replicate)
-    return [_from_fishers_scale(one) if r else one for one, r in zip(found, is_r, strict=True)]
-
-
-def _from_fishers_scale(found: Estimate) -> Estimate:
-    return Estimate(*(None if end is None else math.tanh(end) for end in (found.value, found.low, found.high)))
+    return [
+        Estimate(*(end if end is None else math.tanh(end) for end in astuple(one))) if r else one
+        for one, r in zip(of_means(on_fishers_scale, rows, replicate), is_r, strict=True)
+    ]

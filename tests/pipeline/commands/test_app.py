@@ -89,9 +89,7 @@ def test_a_page_of_one_design_shows_the_networks_view(environment, n_replays, fi
     assert call("simulate", str(design), *in_environment(environment), "--out", str(out), *finished) == 0
     replays = json.loads(re.search(r'id="replays">(.*?)</script>', out.read_text()).group(1))
     assert len(replays) == n_replays
-    for replay in replays:
-        assert [overlay["unit"] for overlay in replay["overlays"]] == ["m/s²"]
-        assert bool(replay["push"]) == (environment != "dry_land")
+    assert all(replay["disagreement"]["most"] > 0 for replay in replays)
 
 
 def test_a_page_of_one_design_without_networks(finished, design, capsys, tmp_path):

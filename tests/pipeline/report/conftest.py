@@ -83,7 +83,7 @@ ZERO_SHOT = {
 }
 ADAPTED = {("dry_land", 9.0): [4.0, 8.0], ("residual_slush", 9.0): [11.0, 11.0], ("dry_land", 1.0): [21.0]}
 PREDICTED = {("residual_slush", 9.0): [7.0, 6.0], ("single_member", 9.0): [20.0]}
-OF_SCORES = ("scores", "transfer", "contrasts", "paper")
+OF_SCORES = ("scores", "transfer", "paper")
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import pytest
 from browser import Browser
 
 from pipeline.report.page import FIGURES, render_page
-from pipeline.report.replay import Overlay, Replay
+from pipeline.report.replay import Replay
 
 
 @pytest.fixture(scope="module")
@@ -22,11 +22,10 @@ def page(study, drawn, tmp_path_factory) -> Path:
 
 
 def annotated(replay: Replay) -> Replay:
-    """Disagreement that grows over time, and differs between links; a push upward."""
+    """Disagreement that grows over time, and differs between links."""
     n_frames, n_links = replay.frames.shape[:2]
     values = np.linspace(0.0, 1.0, n_frames)[:, None] * np.linspace(1.0, 3.0, n_links)
-    push = np.stack((np.zeros_like(values), np.full_like(values, 20.0)), axis=-1)
-    return replace(replay, overlays=(Overlay("disagreement", "m/s²", values),), push=push)
+    return replace(replay, disagreement=values)
 
 
 @pytest.fixture(params=[1200, 390], ids=["desk", "phone"])
@@ -126,17 +125,17 @@ def test_the_prediction_is_shown_beside_true_slush(opened):
     assert (first.shape == second.shape) and (first != second).any()
     assert all(len(np.unique(half.reshape(-1, 3), axis=0)) > 20 for half in (first, second))  # a robot in each
     assert (both.shape[0] > alone.shape[0]) != wide
-    choose(opened, "overlay", "disagreement")
+    click(opened, "disagreement")
     legend = opened.evaluate("document.getElementById('legend').textContent")
     assert "Solid: in Residual Slush (member 1); dashed: in True Slush." in legend
     assert predicted.shape == alone.shape
 
 
-def test_overlays_colour_links_and_the_line_below_follows(opened):
+def test_disagreement_colours_links_and_the_line_below_follows(opened):
     choose(opened, "scrub", "3")
     plain = opened.drawn("stage")
     assert opened.evaluate("document.getElementById('line').hidden")
-    choose(opened, "overlay", "disagreement")
+    click(opened, "disagreement")
     assert not opened.evaluate("document.getElementById('line').hidden")
     assert (opened.drawn("stage") != plain).any()
     assert "m/s²" in opened.evaluate("document.getElementById('legend').textContent")
@@ -146,12 +145,6 @@ def test_overlays_colour_links_and_the_line_below_follows(opened):
         " {buttons: 1, clientX: box.x + box.width / 2, clientY: box.y + 5})); })()"
     )
     assert opened.evaluate("parseFloat(document.getElementById('scrub').value)") == pytest.approx(1.5, abs=0.05)
-
-
-def test_the_push_is_drawn_where_it_is_asked_for(opened):
-    plain = opened.drawn("stage")
-    click(opened, "push")
-    assert (opened.drawn("stage") != plain).sum() > 100
 
 
 def test_the_gallery_moves_where_it_is_seen_and_opens_the_viewer(opened):
@@ -168,9 +161,7 @@ def test_the_gallery_moves_where_it_is_seen_and_opens_the_viewer(opened):
 
 
 @pytest.mark.parametrize("width", [768, 1280, 1920])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_scrolls_sideways_on_a_tablet_or_a_desktop(browser, page, width, scheme):
-    browser("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+def test_nothing_scrolls_sideways_on_a_tablet_or_a_desktop(browser, page, width):
     browser.open(page, width=width)
     browser.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
     assert browser.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0

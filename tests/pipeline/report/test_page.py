@@ -14,7 +14,6 @@ import pytest
 from command_line import call
 
 from pipeline.report.page import StudyPage, draw_all, render_page, render_robot, scale_words, tables_of
-from pipeline.report.replay import Overlay
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import transfer_rows
 from tasks.world import ENVIRONMENTS
@@ -206,7 +205,7 @@ def test_tables_can_be_downloaded(study):
     assert set(tables) == {"columns.csv", *(f"{name}.csv" for name, rows in study.tables.items() if rows)}
     assert 'transfer,zero_shot,m,"Displacement of the root in True Slush, as it is."' in tables["columns.csv"]
     assert tables["scores.csv"][0].startswith("environment,depth,trial,")
-    assert len(tables["contrasts.csv"]) == len(study.rows("contrasts")) + 1
+    assert len(tables["paper.csv"]) == len(study.rows("paper")) + 1
 
 
 def test_commands_of_the_page_are_commands(html, capsys, tmp_path):
@@ -231,9 +230,8 @@ def test_the_page_of_one_design_offers_what_it_has(slush_replay):
 
 
 def test_the_whole_grid_stays_under_ten_megabytes(study, slush_replay, drawn):
-    """A replay of 20 s of each of 300 champions; the best of 52 arms with overlays and the push of the slush."""
+    """A replay of 20 s of each of 300 champions; the best of 52 arms with disagreement."""
     plain = replace(slush_replay, frames=np.resize(slush_replay.frames, (601, 6, 3)))
-    doubt = Overlay("disagreement", "m/s²", np.zeros((601, 6)))
-    best = replace(plain, push=np.zeros((601, 6, 2)), overlays=(doubt,))
+    best = replace(plain, disagreement=np.zeros((601, 6)))
     grid = replace(study, replays=[best] * 52 + [plain] * 300)
     assert len(render_page(grid, drawn).encode()) < 10_000_000

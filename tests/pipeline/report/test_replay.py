@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pipeline.config.settings import RolloutSettings
-from pipeline.report.replay import QUANTUM, Overlay, encode, replay_of
+from pipeline.report.replay import QUANTUM, encode, replay_of
 
 WORDS = {"title": "a robot", "environment": "", "seen_in": "True Slush", "depth": 2.0, "surroundings": "true slush"}
 
@@ -84,12 +84,12 @@ def test_the_shortest_rollout_that_settings_allow_can_be_shown(rollout, n_settle
         RolloutSettings(n_settle=n_settle, n_measure=n_measure - 1)
 
 
-def test_an_overlay_survives_its_encoding(slush_replay):
+def test_disagreement_survives_its_encoding(slush_replay):
     """Values to half of a 254th of the most shown; what is larger is shown as the most, what is unknown as 255."""
     n_frames, n_links = slush_replay.frames.shape[:2]
     values = np.linspace(0.0, 2.0, n_frames * n_links).reshape(n_frames, n_links)
     values[0, 0] = np.nan
-    encoded = encode(replace(slush_replay, overlays=(Overlay("doubt", "m/s²", values),)))["overlays"][0]
+    encoded = encode(replace(slush_replay, disagreement=values))["disagreement"]
     levels = np.frombuffer(base64.b64decode(encoded["levels"]), np.uint8).reshape(n_frames, n_links)
     assert levels[0, 0] == 255 and (levels.ravel()[1:] <= 254).all()
     shown = levels.ravel()[1:] / 254 * encoded["most"]
@@ -97,11 +97,3 @@ def test_an_overlay_survives_its_encoding(slush_replay):
         shown, np.minimum(values.ravel()[1:], encoded["most"]), atol=encoded["most"] * (0.5 / 254 + 1e-4)
     )
     assert encoded["most"] == pytest.approx(1.9, abs=0.01)  # the 95th percentile of 0 to 2
-
-
-def test_a_push_keeps_its_direction_when_it_is_too_long(slush_replay):
-    n_frames, n_links = slush_replay.frames.shape[:2]
-    push = np.tile(np.array([300.0, -400.0]), (n_frames, n_links, 1))
-    encoded = encode(replace(slush_replay, push=push))
-    shown = np.frombuffer(base64.b64decode(encoded["push"]), np.int8).reshape(push.shape) * encoded["pushQuantum"]
-    np.testing.assert_allclose(shown[0, 0], (36.0, -48.0), atol=encoded["pushQuantum"] / 2)

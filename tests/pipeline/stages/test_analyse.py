@@ -84,7 +84,6 @@ def test_regressions_are_scipys_on_the_predictions(tables, predictions):
     for name, x in predictors.items():
         i = table["name"].tolist().index(name)
         expected = stats.linregress(x, predictions["true"])
-        assert table["n"][i] == len(x) == 21
         found = [table[figure][i] for figure in ("slope", "intercept", "r")]
         assert found == pytest.approx([expected.slope, expected.intercept, expected.rvalue], rel=1e-9)
 
@@ -154,7 +153,7 @@ def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_
     store, upstream = study
     summary = ANALYSE.summarise(settings, upstream["analyse"], store)
     assert summary.of_study
-    assert {"scores.csv", "contrasts.csv", "exploiters.csv"} <= set(summary.artifacts)
+    assert {"scores.csv", "paper.csv", "exploiters.csv"} <= set(summary.artifacts)
     metrics = ("accuracy.r.mean", "accuracy.slope.mean_less_1_sd", "hallucinated.worst_champion")
     assert {"ratio_to_true_slush.zero_shot.residual_slush.1m", *metrics} <= set(summary.metrics)
     assert max(map(len, summary.lines)) <= 100

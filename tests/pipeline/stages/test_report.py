@@ -53,17 +53,16 @@ def test_the_best_of_every_arm_is_seen_in_true_slush_and_where_it_evolved(settin
     assert set(found) == {*((name, "True Slush") for name in arms), ("dry_land", "Dry Land"), *at_home.items()}
     for (_, seen_in), replay in found.items():
         assert replay.hallucinated == seen_in.startswith("Residual")
-        assert (replay.push is None) == (seen_in == "Dry Land")
-        assert [overlay.unit for overlay in replay.overlays] == ["m/s²"]
+        assert replay.disagreement.shape == replay.frames.shape[:2]
     home, slush = found["residual_slush", at_home["residual_slush"]], found["residual_slush", "True Slush"]
-    assert home.title == slush.title and not np.array_equal(home.push, slush.push)
+    assert home.title == slush.title and not np.array_equal(home.frames, slush.frames)
 
 
 def test_without_networks_and_analysis_there_is_what_needs_none(settings, inputs):
     bare = {name: files for name, files in inputs.items() if name.role not in (MEMBER, ANALYSED)}
     found = best(settings, bare)
     assert set(found) == {("dry_land", "Dry Land"), *((name, "True Slush") for name in ("true_slush", "dry_land"))}
-    assert not any(replay.overlays for replay in found.values())
+    assert all(replay.disagreement is None for replay in found.values())
 
 
 def test_replays_take_as_long_as_in_the_simulation(settings, inputs):

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from scores_of import spread, study_of, trials_of
+from scores_of import spread, trials_of
 
 from tasks.analysis.comparison import compare, difference, holm, judge, written_arm
 from tasks.analysis.estimates import Estimate, Sample, error_of, mean_of
-from tasks.analysis.tables.contrasts import contrasts
 
 E, DRY = ("true_slush", "zero_shot"), ("dry_land", "zero_shot")
 
@@ -31,7 +30,7 @@ def test_the_interval_holds_0_where_scipys_test_finds_nothing():
     for shift in np.linspace(0, 3, 50):
         a, b = draw.normal(shift, 1, 8), draw.normal(0, 2, 5)
         gap, p = difference(sample(a), sample(b))
-        assert p == stats.ttest_ind(a, b, equal_var=False).pvalue
+        assert p == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue, rel=1e-11)
         significant.append(p < 0.05)
         assert (gap.low > 0 or gap.high < 0) == significant[-1]
     assert 0 < sum(significant) < len(significant)
@@ -101,27 +100,6 @@ def test_studies_are_compared_at_every_common_depth_and_corrected_together():
     assert [row.bound for row in rows] == pytest.approx([2, 2, 0.8])  # without E, a fifth of B's own mean
     same = compare(a, a, [(E, E)])
     assert same[0].verdict == "agrees" and same[0].p is None
-
-
-def test_contrasts_are_made_at_every_depth_with_one_family():
-    draw = np.random.default_rng(6)
-    levels = {"true_slush": 13, "dry_land": 5, "residual_slush": 11}
-    values = {(arm, depth): draw.normal(level, 1, 4) for arm, level in levels.items() for depth in (0.5, 9.0)}
-    found = contrasts(study_of(values, adapted=values))
-    assert len(found) == 2 * 2 * 3 and [row.p_holm for row in found] == holm([row.p for row in found])
-
-
-def test_a_learner_is_compared_with_the_best_with_media_and_with_the_ensemble():
-    arms = ("true_slush", "dry_land", "residual_slush", "single_member", "designed_throws", "designed_single_member")
-    values = {(arm, 9.0): [float(k), k + 1.0] for k, arm in enumerate(arms)}
-    pairs = {(row.a, row.b.removesuffix("/zero_shot")) for row in contrasts(study_of(values))}
-    assert pairs == {
-        *((f"{arm}/zero_shot", "true_slush") for arm in arms[1:]),
-        *((f"{arm}/zero_shot", "dry_land") for arm in arms[2:]),
-        ("single_member/zero_shot", "residual_slush"),
-        ("designed_throws/zero_shot", "residual_slush"),
-        ("designed_single_member/zero_shot", "designed_throws"),
-    }
 
 
 def test_an_arm_is_written_as_readers_know_it():

@@ -1,11 +1,8 @@
 import numpy as np
 import pytest
 
-from tasks.analysis.hallucination import acceleration, disagreement, link_states, size
+from tasks.analysis.hallucination import disagreement, link_states, size
 from tasks.design import random_designs
-from tasks.residual import Architecture
-from tasks.residual.ensemble import Ensemble
-from tasks.residual.network import initial_weights
 from tasks.simulation import simulate
 from tasks.world import LinkStates, Physics, ResidualSlush, Slush
 
@@ -41,21 +38,6 @@ def test_states_of_a_trace_are_those_that_the_engine_shows_a_medium():
     for name in vars(links):
         seen = np.stack([getattr(state, name)[0] for state in asked[1:]], axis=1)
         assert getattr(links, name)[0, :, :-1] == pytest.approx(seen, abs=2e-6), name  # Box2D has its own cosine
-
-
-def test_trained_members_are_asked_about_the_same_links(study):
-    rng = np.random.default_rng(0)
-    scales = {
-        f"{what}_{moment}": np.full(6, value, np.float32)
-        for what in ("observation", "residual")
-        for moment, value in (("mean", 0.0), ("deviation", 1.0))
-    }
-    arrays = [{**initial_weights(Architecture(hidden_layers=2, width=16), rng), **scales} for _ in range(3)]
-    ensemble, links = Ensemble.from_members(arrays), link_states(study.designs, study.trace[:, :4], PHYSICS)
-    own = LinkStates(**{name: array[None] for name, array in vars(links).items()})
-    said = np.stack([acceleration(Ensemble.from_members([member]), own, PHYSICS)[0] for member in arrays])
-    found = disagreement(study.designs, study.trace[:, :4], ensemble, PHYSICS)
-    assert found == pytest.approx(size(said.std(axis=0), links), rel=1e-6) and found.min() > 0
 
 
 def test_the_size_of_an_acceleration_is_that_of_the_links_points():
