@@ -1,12 +1,11 @@
-"""Rollouts of free bars: the base simulator's step, starts that meet the frames, and a medium that is recovered."""
+"""Rollouts of free bars: the base simulator's step, starts that meet the frames."""
 
 import numpy as np
 import torch
 
-from tasks.residual import Throws, initial_states, simulate_throws
-from tasks.residual.rollouts import SeenPaths, fit_medium, follow
+from tasks.residual.rollouts import SeenPaths, follow
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import Physics, Slush
+from tasks.world import Physics
 
 PHYSICS = Physics()
 DT = PHYSICS.time_step
@@ -55,18 +54,3 @@ def test_what_follows_a_contact_is_another_motion() -> None:
     found = seen_paths(time, pose, rng.normal(size=pose.shape), np.ones(1), begins)
     at_frames, _, _ = follow(Constant(), found, time, Physics(gravity=0.0))
     np.testing.assert_allclose(at_frames[..., 0], pose[..., 0], atol=0.02)
-
-
-def test_a_fit_recovers_the_medium_from_every_fourth_pose() -> None:
-    """First estimates of velocities are differences of poses, which lose most of what a spin loses in four steps."""
-    starts = initial_states(Throws(n_throws=40, y_reach=2.0, max_velocity=4.0, max_omega=4.0), np.random.default_rng(5))
-    thrown = simulate_throws(starts, 61, Slush(), PHYSICS)
-    pose = thrown.state.reshape(40, 61, 6)[:, ::4, :3].astype(np.float64)
-    time = np.tile(np.arange(16) * 4 * DT, (40, 1))
-    model = fit_medium(seen_paths(time, pose, np.gradient(pose, 4 * DT, axis=1), starts.length_scale), PHYSICS)
-    links = FreeLinks(thrown.length_scale, PHYSICS)
-    error = links.step(thrown.state, model) - thrown.next_in_slush
-    share = np.sqrt((error**2).mean(axis=0) / (thrown.residual**2).mean(axis=0))
-    assert (share[3:] < 0.15).all()
-    dry = thrown.state[:, 1] > 2.0
-    np.testing.assert_array_equal(links.step(thrown.state, model)[dry], thrown.next_on_dry_land[dry])

@@ -50,6 +50,8 @@ def test_throws_in_the_fitted_medium_cover_what_was_not_thrown_with_their_uncert
     share = np.sqrt(np.mean(error[:, 3:] ** 2, axis=0) / np.mean(further.residual[:, 3:] ** 2, axis=0))
     assert (share < 0.3).all()
     assert len(np.unique(further.throw)) > 200 and np.ptp(further.state[:, 1]) > np.ptp(tracked.state[:, 1])
+    dry = further.state[:, 1] > 2.0  # higher than half a bar
+    assert dry.any() and (further.next_in_slush[dry] == further.next_on_dry_land[dry]).all()
     stated = further.residual_sd[:, 3:]
     assert (stated == stated[0]).all() and (stated[0] < 0.2 * further.residual[:, 3:].std(axis=0)).all()
 
