@@ -84,7 +84,6 @@ LONGEST_FIRST = (
     "fabrication/test_findings.py",
     "simulation/test_batch.py",
     "pipeline/test_kernels.py",
-    "cluster/test_session.py",
     "fabrication/test_servos.py",
     "report/test_films.py",
     "tracking/test_server.py",

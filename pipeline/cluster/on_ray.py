@@ -13,8 +13,10 @@ import itertools
 import logging
 import math
 import os
+import secrets
 import socket
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +26,6 @@ from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.process import PINNED_THREADS, end_at_once, ended_by_signals, number_of_cores, signals_unwind
-from pipeline.cluster.session import SESSIONS_FOLDER, session_folder
 from pipeline.errors import PuddleError
 
 OBJECT_STORE_BYTES = 512 * 2**20  # shared memory of a local cluster; ensembles and results take megabytes
@@ -34,6 +35,7 @@ _START_SECONDS = 120.0  # time to start Ray or to join a cluster [s]; ten are us
 _SHUTDOWN_SECONDS = 10.0  # time for Ray to end by itself [s]; a server that is gone lets it wait for ever
 _CHECK_INTERVAL = 1.0  # time between two checks of Ray's servers [s]
 _SERVERS = ("gcs_server", "raylet")  # ray's names for the processes without which it is dead
+_SESSIONS_FOLDER = "/tmp"  # short, because the path of a Unix socket has at most 107 bytes; TMPDIR may be longer
 _PACKAGES = ("tasks", "pipeline")  # sent to the workers of an existing cluster, which need not have them on disk
 
 _ENVIRONMENT = {
@@ -148,11 +150,15 @@ class _Ray:
 @contextlib.contextmanager
 def _local(n_workers: int) -> Iterator[_Ray]:
     """Start Ray on this machine for this user alone, and stop it at the end."""
-    with session_folder() as folder:
-        os.environ.update(PINNED_THREADS, **LOCAL_ENVIRONMENT, RAY_AUTH_TOKEN_PATH=str(folder / "token"))
+    # Ray's own folder, /tmp/ray, is open to all users; this one is not.
+    with tempfile.TemporaryDirectory(prefix="puddle-", dir=_SESSIONS_FOLDER, ignore_cleanup_errors=True) as folder:
+        token = Path(folder, "token")
+        token.touch(mode=0o600)
+        token.write_text(secrets.token_hex(32))
+        os.environ.update(PINNED_THREADS, **LOCAL_ENVIRONMENT, RAY_AUTH_TOKEN_PATH=str(token))
         os.environ.pop("RAY_AUTH_TOKEN", None)
         advice = (
-            f"It needs free space in {SESSIONS_FOLDER} and /dev/shm and memory for {n_workers} workers. "
+            f"It needs free space in {_SESSIONS_FOLDER} and /dev/shm and memory for {n_workers} workers. "
             f"`--workers 0` runs without Ray."
         )
         try:
@@ -165,7 +171,7 @@ def _local(n_workers: int) -> Iterator[_Ray]:
                 object_store_memory=OBJECT_STORE_BYTES,
                 include_dashboard=False,
                 _node_ip_address="127.0.0.1",
-                _temp_dir=str(folder / "ray"),
+                _temp_dir=f"{folder}/ray",
             ):
                 yield _Ray(_servers_alive(), _RAY_DIED, n_workers)
         finally:

@@ -1,59 +1,61 @@
 """Commands that look after machines and stores: puddle doctor, verify, gc and forecast."""
 
-from dataclasses import asdict
+from contextlib import nullcontext
 from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, AsJson, StorePath, StudyOptions, Workers, with_options
-from pipeline.commands.terminal import INCOMPLETE, interruptible, print_json, to_stdout
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, Workers, with_options
+from pipeline.commands.terminal import INCOMPLETE, interruptible, to_stdout
 
 _HOUR = 3600.0
 
 
 @with_options
-def doctor(options: StudyOptions, workers: Workers = None, as_json: AsJson = False) -> None:
+def doctor(options: StudyOptions, workers: Workers = None) -> None:
     """Check a machine before a long study."""
     from pipeline.commands.examination import examine
 
     checks = []
-    with interruptible():
-        for check in examine(options.settings(), options.store, n_workers=workers):
-            checks.append(check)
-            if not as_json:
-                to_stdout(f"{check.verdict:<5} {check.what}: {check.found}")
-                if check.advice:
-                    to_stdout(f"      {check.advice}")
-    failed = any(check.verdict == "fail" for check in checks)
-    if as_json:
-        print_json({"ok": not failed, "checks": [asdict(check) for check in checks]})
-    if failed:
+    for check in examine(options.settings(), options.store, n_workers=workers):
+        checks.append(check)
+        to_stdout(f"{check.verdict:<5} {check.what}: {check.found}")
+        if check.verdict != "ok":
+            to_stdout(f"      {check.advice}")
+    if any(check.verdict == "fail" for check in checks):
         raise typer.Exit(INCOMPLETE)
 
 
 @with_options
 def verify(
-    options: StudyOptions,
+    store: StorePath = DEFAULT_STORE,
     discard: Annotated[
         bool, typer.Option("--discard", help="Remove damaged items; the next run computes them again.")
     ] = False,
-    as_json: AsJson = False,
 ) -> None:
-    """Hash a store, or one study, again; name what is damaged."""
-    from pipeline.commands import damage
-    from pipeline.workflow.progress import progress
+    """Hash a store again; name what is damaged."""
+    from pipeline.errors import DamagedArtifact
+    from pipeline.workflow.progress import Work, progress
 
-    if options.study is not None:
-        options.settings()  # refuses a name that is unknown, and a record that is damaged
-    store = options.open_store()
-    with interruptible(), store.lock_all() if discard else store.lock_to_read(), progress() as show:
-        found = damage.verify(store, options.study, discard=discard, progress=show)
-    if as_json:
-        print_json({**asdict(found), "intact": found.intact})
-    else:
-        to_stdout(*damage.verification_lines(found, how_to_run=options.command))
-    if not found.intact:
-        raise typer.Exit(INCOMPLETE)
+    options = StudyOptions(store=store)
+    opened = options.open_store()
+    with interruptible(), opened.lock_all() if discard else nullcontext(), progress() as show:
+        n_items = len(list(opened.items()))
+        with show.stage("verify", unit="items", total=Work(n_items, n_items)) as bar:
+            wrong = opened.verify(checked=lambda: bar.advance(Work(1, 1)))
+        damaged = [(one.stage, one.key) for one in wrong if isinstance(one, DamagedArtifact) and one.stage and one.key]
+        for stage, key in damaged if discard else ():
+            opened.discard(stage, key)
+    if not wrong:
+        to_stdout(f"{opened.root}: {n_items:,} items: every byte is as it was committed.")
+        return
+    to_stdout(*map(str, wrong), f"{opened.root}: {len(wrong)} problems in {n_items:,} items.")
+    if damaged and discard:
+        to_stdout(f"What is damaged is discarded: `{options.command('study')}` computes it again.")
+    elif damaged:
+        discarding = f"`{options.command('verify')} --discard`"
+        to_stdout(f"{discarding} removes what is damaged; then `{options.command('study')}` computes it again.")
+    raise typer.Exit(INCOMPLETE)
 
 
 @with_options
@@ -62,15 +64,15 @@ def gc(
     remove: Annotated[bool, typer.Option("--remove", help="Remove the garbage; without it, only list it.")] = False,
 ) -> None:
     """List what no study of a store needs, or remove it."""
-    from pipeline.commands.garbage import find_garbage, garbage_lines, remove_garbage
+    from pipeline.commands.garbage import find_garbage, garbage_lines
 
     options = StudyOptions(store=store)
     opened = options.open_store()
     with opened.lock_all():
-        found = find_garbage(opened)
-        lines = list(garbage_lines(opened, found, removed=remove, command=f"{options.command('gc')} --remove"))
-        if remove:
-            remove_garbage(opened, found)
+        garbage = find_garbage(opened)
+        lines = list(garbage_lines(opened, garbage, removed=remove, command=f"{options.command('gc')} --remove"))
+        for item in garbage if remove else ():
+            opened.discard(*item)
     to_stdout(*lines)
 
 
@@ -85,7 +87,6 @@ def forecast(
         typer.Option("--gpu-tflops", min=0.001, help="Rate at which a GPU trains, for its time [TFLOP/s]."),
     ] = None,
     gpu_price: Annotated[float, typer.Option("--gpu-price", min=0.0, help="Price of an hour of that GPU.")] = 0.0,
-    as_json: AsJson = False,
 ) -> None:
     """Estimate time and disk of the rest of a study.
 
@@ -95,14 +96,9 @@ def forecast(
     from pipeline.commands.time_model import forecast_stages, training_gpu_seconds
 
     settings = options.settings()
-    with interruptible():
-        stages = forecast_stages(settings, options.find_store())
+    stages = forecast_stages(settings, options.find_store())
     n_cores = cores or number_of_cores()
     gpu_hours = training_gpu_seconds(settings, gpu_tflops) / _HOUR if gpu_tflops else None
-    if as_json:
-        rows = [{**asdict(one), "seconds": one.seconds(n_cores)} for one in stages]
-        print_json({"study": settings.name, "n_cores": n_cores, "stages": rows, "gpu_hours": gpu_hours})
-        return
     to_stdout(f"study {settings.name}: the rest of the work on {n_cores:,} core{'s' * (n_cores > 1)}")
     to_stdout(f"{'stage':<9}{'work':>19}{'core time':>11}{'time':>9}{'disk':>9}  cost from")
     for one in stages:

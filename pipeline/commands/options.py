@@ -65,10 +65,7 @@ def program() -> str:
 
 def output_suffix(out: Path, suffixes: Sequence[str], *, replaces: bool = True) -> str:
     """Return which suffix the file of --out has; refuse a path that can't be one before anything is computed."""
-    try:
-        fits = out.parent.is_dir() and (not out.exists() or (replaces and out.is_file()))
-    except OSError as error:
-        raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
+    fits = out.parent.is_dir() and (not out.exists() or (replaces and out.is_file()))
     if out.suffix.lower() not in suffixes or not fits:
         kind = "file" if replaces else "new file"
         raise PuddleError(
@@ -144,10 +141,7 @@ class SettingsOptions:
         """Open the store if there is one."""
         from pipeline.store import disk
 
-        root = disk.resolved(self.store)
-        with disk.explained("looking for a store", root):
-            exists = (root / "store.json").exists()
-        return self.open_store() if exists else None
+        return self.open_store() if (disk.resolved(self.store) / "store.json").exists() else None
 
     def command(self, name: str) -> str:
         """Return the command line that runs another command with the same options."""

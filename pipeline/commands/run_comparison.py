@@ -66,8 +66,7 @@ def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Pa
     except RunError as error:
         raise PuddleError(f"{source.path} with {kit}: {error}") from None
     page = render_run(comparison, source.path.name)
-    with disk.explained("writing the page", out, advice="choose another file"):
-        disk.place(out, page.encode())
+    disk.place(out, page.encode())
     lines.append(f"{robot.name}: {comparison.measured.time[-1]:.1f} s of steady gait")
     return [*lines, *as_text(RunRow, comparison.rows()), f"page: {out}", verdict(comparison)]
 
@@ -127,9 +126,7 @@ def _link_paths(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
 
 
 def _read_tracks(path: Path) -> dict[int, LinkPath]:
-    with disk.explained("reading tracks", path, advice="name the file that holds the tracks"):
-        content = path.read_bytes()
-    rows = track_table(read_track_columns(content, str(path)), str(path))
+    rows = track_table(read_track_columns(path.read_bytes(), str(path)), str(path))
     table = np.column_stack((rows.throw, rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
         raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")

@@ -15,7 +15,6 @@ from pipeline.stages.collect import COLLECT
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_ids
 from pipeline.stages.replays import replay_in
 from pipeline.stages.train import TRAIN
-from pipeline.store import disk
 from pipeline.store.design_file import read_design, read_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
@@ -82,8 +81,7 @@ def simulate_design(
         replays.append(replay_in(design, rolled_out, where, there, simulation, title=path.stem, ensemble=shown))
     first, *beside = (replay for replay in replays if replay)
     content = RENDERERS[kind]([first]) if kind in RENDERERS else render_robot(first, lines, beside).encode()
-    with disk.explained(f"--out: writing {out}", out, advice="choose another file"):
-        out.write_bytes(content)
+    out.write_bytes(content)
     yield f"  shown in {out}"
 
 
@@ -148,8 +146,7 @@ def score_designs(
     if out is not None:
         units = {**_UNITS, "fitness": objective.unit}
         content = encode_table(table, schema="scores", version=1, producer=str(path), units=units)
-        with disk.explained("writing scores", out, advice="choose another file"):
-            out.write_bytes(content if out.suffix == ".parquet" else csv_of(table))
+        out.write_bytes(content if out.suffix == ".parquet" else csv_of(table))
         yield f"  scores in {out}"
 
 
@@ -193,9 +190,8 @@ def _optional_networks(options: SettingsOptions, settings: Settings) -> _Network
 
 def _networks(settings: Settings, store: Store, data_set: DataSetId) -> _Networks:
     damage: list[str] = []
-    with store.lock_to_read():
-        record = store.read_study(settings.name)
-        upstream = survey(settings, (COLLECT, TRAIN), store, record=record, say=damage.append).upstream
-        if damage:
-            raise PuddleError(damage[0])
-        return environments.read_networks(ensemble_ids(settings, data_set), upstream, store)
+    record = store.read_study(settings.name)
+    upstream = survey(settings, (COLLECT, TRAIN), store, record=record, say=damage.append).upstream
+    if damage:
+        raise PuddleError(damage[0])
+    return environments.read_networks(ensemble_ids(settings, data_set), upstream, store)

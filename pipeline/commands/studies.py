@@ -37,16 +37,18 @@ def status(options: StudyOptions, as_json: AsJson = False) -> None:
 
     Where the store has a study of that name, its recorded settings count, and differences from those given are named.
     """
-    from pipeline.commands.study_status import shown_settings, status_lines, study_status
+    from pipeline.commands.study_status import status_lines, study_status
+    from pipeline.workflow.record import differences as differences_of
+    from pipeline.workflow.record import settings_of
 
-    store = options.open_store()
-    settings, differences, record = shown_settings(options.settings(), store)
-    with store.lock_to_read():
-        found = study_status(settings, store, record, with_diverged=True)
+    store, settings = options.open_store(), options.settings()
+    record = store.read_study(settings.name)
+    differences = differences_of(record.settings, settings.model_dump(mode="json")) if record else []
+    found = study_status(settings_of(record) if record else settings, store, record, with_diverged=True)
     if as_json:
         print_json({**asdict(found), "done": found.is_done, "settings_differ": differences})
         return
-    to_stdout(*status_lines(found, store_bytes=store.size_bytes()))
+    to_stdout(*status_lines(found))
     if differences:
         to_stdout(
             "That is the study on record. The settings given differ from it (recorded → given):",
@@ -64,13 +66,12 @@ def studies(store: StorePath = DEFAULT_STORE, as_json: AsJson = False) -> None:
     from pipeline.store.store import Store
 
     opened = Store.open(store, create=False)
-    with opened.lock_to_read():
-        listed = list(list_studies(opened))
+    listed = list(list_studies(opened))
     if as_json:
         print_json({"store": str(opened.root), "studies": [asdict(one) for one in listed]})
         return
     noun = "study" if len(listed) == 1 else "studies"
-    to_stdout(f"{len(listed) or 'no'} {noun} in {opened.root} ({opened.size_bytes() / 1e6:,.1f} MB)")
+    to_stdout(f"{len(listed) or 'no'} {noun} in {opened.root}")
     for one in listed:
         to_stdout("", *describe(one))
 
@@ -117,7 +118,6 @@ def compare(
     from pipeline.report.comparison_page import SAID_ABOVE, SUFFIXES, written_comparison
     from pipeline.report.render import as_text
     from pipeline.results.comparisons import compare_arms, compare_studies
-    from pipeline.store import disk
     from tasks.analysis.comparison import VERDICTS, Comparison
 
     if (b is None) == (arms is None):
@@ -134,8 +134,7 @@ def compare(
         f"\n{len(compared.rows)} comparisons: {listed}. They agree if the interval lies within what is negligible."
     )
     if out is not None:
-        with disk.explained("writing the comparison", out, advice="choose another file"):
-            out.write_text(written_comparison(compared, suffix), encoding="utf-8")
+        out.write_text(written_comparison(compared, suffix), encoding="utf-8")
         to_stdout(f"\nWritten: {out}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,7 +52,6 @@ def _run_stages(
     options: StudyOptions, execution: ExecutionOptions, stages: tuple[str, ...], recompute: Collection[str]
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE."""
-    from pipeline.commands.time_model import expected_seconds
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.driver import drive
@@ -79,7 +77,6 @@ def _run_stages(
             progress=show,
             how_to_run=options.command,
             source=options.source,
-            expected_seconds=functools.partial(expected_seconds, settings, store=store),
         )
     if wanted[-1] is STAGES[-1]:
         _show_headline(settings, upstream, store, options.named(settings.name))
@@ -150,8 +147,7 @@ def _check_inputs(options: StudyOptions, settings: Settings, first: AnyStage) ->
         plans = [(stage, [ChainProgress(chain) for chain in stage.plan(settings)]) for stage in until]
         upstream: Upstream = {stage.name: results_of(stage, chains) for stage, chains in plans}
     else:
-        with store.lock_to_read():
-            upstream = survey(settings, until, store).upstream  # the driver names damage
+        upstream = survey(settings, until, store).upstream  # the driver names damage
     require(settings, first, STAGES, upstream, how_to_run=options.command)
     if first is COLLECT and upstream["collect"].unfinished:
         check_tracks(settings)

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import datetime
-import textwrap
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from pipeline.commands.options import program
-from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import other_code, survey
-from pipeline.workflow.record import differences, preset_of, settings_of
-
-_LINE_LENGTH = 80
-_MOST_DIFFERENCES = 6
+from pipeline.workflow.record import recorded_study, settings_of
 
 
 @dataclass(frozen=True)
@@ -74,15 +68,7 @@ class StudyStatus:
             running = "running, " if self.driver else ""
             items = f"{stage.n_done:,} of {stage.n_items:,} items"
             return f"{running}stage {number} of {len(self.stages)}: {stage.stage}, {items}"
-        return "done" if self.is_done else "done, except for what failed"
-
-
-def shown_settings(given: Settings, store: Store) -> tuple[Settings, list[str], StudyRecord | None]:
-    """Return the settings to show for a name, those on record if any; what differs in those given; and the record."""
-    record = store.read_study(given.name)
-    if record is None:
-        return given, [], None
-    return settings_of(record), differences(record.settings, given.model_dump(mode="json")), record
+        return "done" if self.is_done else "done, except for what failed (`puddle status` names it)"
 
 
 def study_status(settings: Settings, store: Store, record: StudyRecord | None, *, with_diverged: bool) -> StudyStatus:
@@ -90,7 +76,7 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
 
     Args:
         settings: the study's settings.
-        store: the store, which the caller has locked.
+        store: the store.
         record: the study's record, if it has one.
         with_diverged: whether to look for designs that diverged, which reads the curves of every trial.
     """
@@ -135,13 +121,13 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
                 results.n_other_code,
             )
         )
-    notes += filter(None, [found.note(settings.name) or other_code(found.upstream)])
+    notes += filter(None, [other_code(found.upstream)])
     return StudyStatus(settings.name, str(store.root), driver, tuple(stages), tuple(notes))
 
 
-def status_lines(status: StudyStatus, *, store_bytes: int) -> Iterator[str]:
+def status_lines(status: StudyStatus) -> Iterator[str]:
     """Describe the study and each stage, each failed chain, and each trial whose designs diverged."""
-    yield f"study {status.study} in {status.store} ({store_bytes / 1e6:.1f} MB)"
+    yield f"study {status.study} in {status.store}"
     yield f"driven by {status.driver}" if status.driver else "no process is driving it"
     for stage in status.stages:
         yield stage.line
@@ -159,40 +145,30 @@ class ListedStudy:
 
     study: str
     source: str = ""  # "preset laptop" or the path of a settings file
-    differences: tuple[str, ...] = ()  # settings that differ from that preset's
     progress: str = ""
     done: bool = False
-    n_failed: int = 0  # chains
     changed: str = ""  # when its record last changed, ISO 8601
     page: str | None = None  # address of its page, if it has one
     problem: str = ""  # why nothing else is known
 
 
 def list_studies(store: Store) -> Iterator[ListedStudy]:
-    """Describe every study of a store, which the caller has locked; a damaged one by its problem alone."""
+    """Describe every study of a store; a damaged one by its problem alone."""
     for name in store.studies():
         try:
-            record = store.read_study(name)
-            if record is None:  # removed a moment ago
-                continue
+            record = recorded_study(store, name)
             status = study_status(settings_of(record), store, record, with_diverged=False)
         except PuddleError as problem:
             yield ListedStudy(name, problem=str(problem))
             continue
-        preset, changes = preset_of(record.source), list[str]()
-        if preset in preset_names():
-            own = {**record.settings, "name": preset}
-            changes = differences(load(Settings, preset_path(preset)).model_dump(mode="json"), own)
         page = store.export_path(name) / PAGE
-        changed = (store.study_path(name) / "study.json").stat().st_mtime
+        changed = datetime.datetime.fromtimestamp((store.study_path(name) / "study.json").stat().st_mtime).astimezone()
         yield ListedStudy(
             name,
             record.source,
-            tuple(changes),
             status.short,
             status.is_done,
-            sum(len(stage.failed) for stage in status.stages),
-            datetime.datetime.fromtimestamp(changed).astimezone().isoformat(sep=" ", timespec="seconds"),
+            changed.isoformat(sep=" ", timespec="seconds"),
             page.as_uri() if page.is_file() else None,
         )
     for name in store.studies(recorded=False):
@@ -200,19 +176,11 @@ def list_studies(store: Store) -> Iterator[ListedStudy]:
 
 
 def describe(one: ListedStudy) -> Iterator[str]:
-    """Describe a study in lines of 80 columns; addresses and paths are never cut."""
-    if one.problem:
-        yield f"{one.study}: {one.problem}"
-        return
-    yield f"{one.study}: {one.progress}"
-    if one.n_failed:
-        yield f"  {one.n_failed} chains failed; `{program()} status {one.study}` names them"
+    """Describe a study in lines; addresses and paths are never cut."""
+    yield f"{one.study}: {one.problem or one.progress}"
     if one.source:
-        n_more = len(one.differences) - _MOST_DIFFERENCES
-        shown = "; ".join(one.differences[:_MOST_DIFFERENCES]) + (f"; and {n_more} more" if n_more > 0 else "")
-        text = f"settings from {one.source}{shown and ', changed: '}{shown}"
-        wrapped = textwrap.wrap(text, _LINE_LENGTH, break_long_words=False, break_on_hyphens=False)
-        yield textwrap.indent("\n  ".join(wrapped), "  ")
-    yield f"  last change {one.changed}"
+        yield f"  settings from {one.source}"
+    if one.changed:
+        yield f"  last change {one.changed}"
     if one.page:
         yield f"  {one.page}"

@@ -2,6 +2,7 @@
 
 import atexit
 import contextlib
+import errno
 import json
 import os
 import signal
@@ -107,16 +108,31 @@ def _named() -> Iterator[None]:
 
 
 def exit_with(error: Exception) -> NoReturn:
-    """End the process as an error of a command demands: with a message or a traceback, and its exit code."""
+    """End the process as an error of a command demands: with a message or a traceback, and its exit code.
+
+    An OSError is the disk's, or that of a path that the user named.
+    """
     match error:
         case PuddleError():
             to_stderr(f"puddle: {error}")
+            sys.exit(USER_ERROR)
+        case OSError():
+            file = error.filename2 or error.filename  # for a rename, the new name
+            advice = _DISK_ADVICE.get(error.errno or 0, "")
+            to_stderr(f"puddle: {f'{file}: ' if file else ''}{error.strerror or error}. {advice}".rstrip())
             sys.exit(USER_ERROR)
         case OutputClosed():
             _discard_output()
             sys.exit(OUTPUT_CLOSED)
     traceback.print_exception(error)
     sys.exit(DEFECT)
+
+
+_AGAIN = "Committed results are safe: run the same command again once you have"
+_DISK_ADVICE = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), f"{_AGAIN} freed some space."),
+    **dict.fromkeys((errno.EROFS, errno.EACCES, errno.EPERM), f"{_AGAIN} allowed writing, or choose another folder."),
+}
 
 
 @contextlib.contextmanager

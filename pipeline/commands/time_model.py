@@ -1,4 +1,4 @@
-"""How long a study takes, and how much disk: one model, for the time left and for `puddle forecast`.
+"""How long a study takes, and how much disk: the model of `puddle forecast`.
 
 An item of work takes the median time of those that the store has of its kind, by its units. Where the store has none,
 the constants below decide. They are of one core of an AMD EPYC (docs/performance.md), and right within a factor of two.
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from pipeline.config.settings import Settings
-from pipeline.kernels import seconds_to_compile
 from pipeline.stages import STAGES, environments
 from pipeline.stages.assess import AssessmentId
 from pipeline.stages.segments import TrialSpec
@@ -91,19 +90,8 @@ def forecast_stages(settings: Settings, store: Store | None = None) -> list[Stag
     upstream: Upstream = {}
     costs: dict[_Kind, _Cost] = {}
     if store is not None:
-        with store.lock_to_read():
-            upstream, costs = _survey(settings, store)
+        upstream, costs = _survey(settings, store)
     return [_forecast(stage, settings, upstream, costs) for stage in STAGES]
-
-
-def expected_seconds(settings: Settings, n_cores: float, store: Store | None = None) -> dict[str, float]:
-    """Return about how long what is left of each stage takes on a number of cores, by name [s].
-
-    Kernels that this machine has not compiled yet count toward evolve, whose workers wait for most of them.
-    """
-    expected = {one.stage: one.seconds(n_cores) for one in forecast_stages(settings, store)}
-    expected["evolve"] += seconds_to_compile(settings.physics)
-    return expected
 
 
 def training_gpu_seconds(settings: Settings, tflops: float) -> float:

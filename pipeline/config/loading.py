@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -79,7 +79,7 @@ def parse(model: type[M], content: str | bytes, *, name: str, overrides: Sequenc
 class _Loader(yaml.SafeLoader):
     """Reads plain words as YAML 1.2's core schema does, without infinities, and refuses a name that appears twice."""
 
-    yaml_implicit_resolvers: ClassVar[dict[str | None, Any]] = {}
+    yaml_implicit_resolvers: dict[str | None, Any] = {}  # noqa: RUF012 (as PyYAML declares it)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
@@ -110,7 +110,7 @@ _Loader.add_constructor("tag:yaml.org,2002:float", _Loader.number)
 def _read(content: str | bytes, name: str) -> Any:
     """Return the value of YAML."""
     try:
-        value = yaml.load(content, _Loader)  # noqa: S506 (a SafeLoader)
+        value = yaml.load(content, _Loader)
         json.dumps(value, default=str)
         return value
     except yaml.YAMLError as error:

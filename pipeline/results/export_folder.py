@@ -94,7 +94,7 @@ def export_study(
     settings = study.settings.model_dump(mode="json")
     progress: dict[str, Json] = {name: vars(one) for name, one in study.progress.items()}
     manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
-    with study.store.lock_to_read(), EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:
+    with EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:
         folder.write("settings.yaml", yaml.safe_dump(settings, sort_keys=False).encode())
         page = read_page(study.settings, study.upstream, study.store)
         results = json.dumps(results_of(study, page), indent=1, ensure_ascii=False)

@@ -6,7 +6,6 @@ from pipeline.errors import PuddleError
 from pipeline.report.films import RENDERERS
 from pipeline.report.replay import Surroundings, replay_of
 from pipeline.stages.replays import median_member
-from pipeline.store import disk
 from tasks.design import Designs
 from tasks.simulation import OK, simulate
 from tasks.world import Environment, Physics, ResidualSlush, TrueSlush
@@ -59,5 +58,4 @@ def film(
         n_settle=n_settle,
         time_step=physics.time_step,
     )
-    with disk.explained("writing the film", path):
-        path.write_bytes(RENDERERS[path.suffix]([replay]))
+    path.write_bytes(RENDERERS[path.suffix]([replay]))

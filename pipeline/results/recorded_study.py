@@ -73,8 +73,7 @@ class Study:
 
     @cached_property
     def _recorded(self) -> Survey:
-        with self.store.lock_to_read():
-            return survey(self.settings, STAGES, self.store, record=self.record)
+        return survey(self.settings, STAGES, self.store, record=self.record)
 
     @property
     def upstream(self) -> Upstream:
@@ -83,8 +82,8 @@ class Study:
 
     @property
     def note(self) -> str:
-        """A line that names stages of which today's code would make other results, or that other code made; or ""."""
-        return self._recorded.note(self.name) or other_code(self.upstream)
+        """A line that names stages whose results a different version of the code made; "" if there are none."""
+        return other_code(self.upstream)
 
     @property
     def progress(self) -> dict[str, StageProgress]:
@@ -124,8 +123,7 @@ class Study:
         if name == CHAMPIONS:
             table = self.champions()
         elif name in self.tables:
-            with self.store.lock_to_read():
-                parts = list(self.parts(name, only))
+            parts = list(self.parts(name, only))
             if not parts:
                 raise PuddleError(f"table {name}: study {self.name} has no rows with {_words(only)} yet")
             table = pa.concat_tables(parts)
@@ -160,13 +158,12 @@ class Study:
         predicted_sd (σ over members) [m] and fitness (μ - kσ, in the objective's unit). What does not exist is null.
         """
         rows = []
-        with self.store.lock_to_read():
-            for trial in trials_of(self.settings, "transfer"):
-                if (parts := self.upstream["transfer"].done.get(trial)) and CHAMPION in parts[-1].files:
-                    scores = decode_scores(self.store.read(parts[-1], SCORE), trial.label)
-                    design = self.store.read(parts[-1], CHAMPION).decode()
-                    values = scores.by_name() if scores else {}
-                    rows.append({**keys_of(trial), **values, "design_json": design})
+        for trial in trials_of(self.settings, "transfer"):
+            if (parts := self.upstream["transfer"].done.get(trial)) and CHAMPION in parts[-1].files:
+                scores = decode_scores(self.store.read(parts[-1], SCORE), trial.label)
+                design = self.store.read(parts[-1], CHAMPION).decode()
+                values = scores.by_name() if scores else {}
+                rows.append({**keys_of(trial), **values, "design_json": design})
         of_fitness = {"unit": OBJECTIVES[self.settings.evolution.objective].unit}
         last = len(_CHAMPION_FIELDS) - 1
         schema = _CHAMPION_FIELDS.set(last, _CHAMPION_FIELDS.field("fitness").with_metadata(of_fitness))
@@ -174,8 +171,7 @@ class Study:
 
     def trials(self) -> list[ScoredTrial]:
         """Return what is known of every trial's champion."""
-        with self.store.lock_to_read():
-            return read_trials(self.settings, self.upstream["transfer"], self.store)
+        return read_trials(self.settings, self.upstream["transfer"], self.store)
 
     def champion(self, environment: str, *, depth: float, trial: int, adapted: bool = False) -> Designs:
         """Return the champion of a trial, a design.
@@ -197,8 +193,7 @@ class Study:
             scored = self.upstream["transfer"].done[TrialId("transfer", environment, depth, trial)][-1]
             if ADAPTED not in scored.files:
                 raise PuddleError(f"{where} has no adapted champion: expected it in transfer.adapted_environments")
-            with self.store.lock_to_read():
-                return design_from(decode_json(self.store.read(scored, ADAPTED), where), where)
+            return design_from(decode_json(self.store.read(scored, ADAPTED), where), where)
         return design_from(decode_json(found["design_json"][0].as_py().encode(), where), where)
 
     def simulate(
@@ -222,8 +217,7 @@ class Study:
             known = ", ".join((*ENVIRONMENTS, *self.settings.learners))
             raise PuddleError(f"study {self.name}: environment: expected one of {known}, got {environment!r}")
         own = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)
-        with self.store.lock_to_read():
-            networks = environments.read_networks(own, self.upstream, self.store)
+        networks = environments.read_networks(own, self.upstream, self.store)
         spec = environments.simulation_spec(self.settings, environment)
         at = environments.build_environment(spec.media, environment, depth, networks)
         return environments.roll_out(spec, Execution(self.settings.work.engine), at, designs, trace=trace)
@@ -255,8 +249,7 @@ class Study:
                 f"study {self.name} has no ensemble of replicate {replicate} of {throws or 'any throws'}: expected one "
                 f"of {listed}"
             )
-        with self.store.lock_to_read():
-            networks = environments.read_networks(ensemble_ids(self.settings, wanted[0]), self.upstream, self.store)
+        networks = environments.read_networks(ensemble_ids(self.settings, wanted[0]), self.upstream, self.store)
         return environments.ensemble_of(networks)
 
     def _check(self, only: Mapping[str, Any]) -> None:

@@ -82,9 +82,8 @@ def calibrate(options: CalibrateOptions, user: Dialogue, clock: Clock | None = N
     if not user.confirm(f"Write {path}? The previous calibration stays as {previous.name}."):
         user.say(f"{path} is unchanged.")
         return False
-    with disk.explained("writing the calibration", path, advice="run the same command again"):
-        disk.place(previous, path.read_bytes())
-        disk.place(path, calibration_yaml(after, f"Measured with `puddle servo calibrate`. Before: {previous.name}."))
+    disk.place(previous, path.read_bytes())
+    disk.place(path, calibration_yaml(after, f"Measured with `puddle servo calibrate`. Before: {previous.name}."))
     user.say(f"Wrote {path}.")
     return True
 

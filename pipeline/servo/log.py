@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
-from pipeline.store import disk
+from pipeline.errors import PuddleError
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,11 @@ class ServoLog:
 
     def __init__(self, path: Path) -> None:
         """Start a log. Raises PuddleError if the file exists or can't be written."""
-        advice = "choose another name with --log; nothing was moved"
-        with disk.explained("writing the log", path, advice=advice):
+        try:
             self._file = path.open("x", encoding="utf-8", newline="", buffering=1)
+        except OSError as error:
+            advice = "Choose another name with --log; nothing was moved"
+            raise PuddleError(f"{path}: writing the log failed: {error.strerror}. {advice}.") from None
         self._rows = csv.writer(self._file, lineterminator="\n")
         self._rows.writerow(field.name for field in fields(LogEntry))
 

@@ -12,7 +12,6 @@ from pydantic import ValidationError
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.store import disk
 from pipeline.store.encoding import digest, encode_json
 from pipeline.store.track_file import TrackColumns, bars_of, has_bars, read_track_columns, track_table
 from pipeline.workflow.identity import InputName
@@ -48,7 +47,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
     if tracks is None or tracks.sha256 is not None:
         return settings
     path = Path(tracks.file).expanduser().resolve()
-    content = _content(path)
+    content = path.read_bytes()
     columns = read_track_columns(content, str(path))
     numbers = set(track_table(columns, str(path)).throw.tolist())
     bars_path = _bars_path(tracks, path, columns)
@@ -58,7 +57,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
                 "file": str(path),
                 "bars": None if bars_path is None else str(bars_path),
                 "sha256": digest(content),
-                "bars_sha256": None if bars_path is None else digest(_content(bars_path)),
+                "bars_sha256": None if bars_path is None else digest(bars_path.read_bytes()),
             }
         ),
         "throws": settings.throws.model_copy(update={"source": "tracks", "n_throws": max(len(numbers), 2)}),
@@ -82,11 +81,6 @@ def _bars_path(tracks: Tracks, path: Path, columns: TrackColumns) -> Path | None
             f"each throw's bar, or name the file (tracks.bars)"
         )
     return beside
-
-
-def _content(path: Path) -> bytes:
-    with disk.explained("reading tracks", path, advice="name the file that holds the tracks"):
-        return path.read_bytes()
 
 
 def outside_files(tracks: Tracks) -> Mapping[InputName, OutsideFile]:

@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 from pydantic import ConfigDict, ValidationError, conlist, create_model
 
 from pipeline.errors import PuddleError
-from pipeline.store import disk
 from pipeline.store.encoding import check_format, decode_json, encode_json
 from tasks.design import N_LINKS, DesignError, Designs, check
 from tasks.design.genes import DTYPES, PER_DESIGN, concatenate
@@ -53,9 +52,7 @@ def design_from(document: Any, source: str) -> Designs:
 
 def read_design(path: Path) -> Designs:
     """Read a design file."""
-    with disk.explained("reading the design", path):
-        content = path.read_bytes()
-    return design_from(decode_json(content, str(path)), str(path))
+    return design_from(decode_json(path.read_bytes(), str(path)), str(path))
 
 
 def write_design(design: Designs, path: Path) -> None:
@@ -66,8 +63,7 @@ def write_design(design: Designs, path: Path) -> None:
         check(design)
     except DesignError as error:
         raise PuddleError(f"{path}: {str(error).removeprefix('design 0: ')}") from None
-    with disk.explained("writing the design", path):
-        path.write_bytes(encode_json(design_document(design)))
+    path.write_bytes(encode_json(design_document(design)))
 
 
 def read_designs(path: Path) -> Designs:
@@ -82,8 +78,7 @@ def read_designs(path: Path) -> Designs:
     if path.suffix == ".json":
         return read_design(path)
     try:
-        with disk.explained("reading the designs", path):
-            table = read_parquet(path.read_bytes())
+        table = read_parquet(path.read_bytes())
     except pa.ArrowException as error:
         raise PuddleError(f"{path}: expected a Parquet file or a design file: {error}") from None
     if not len(table):

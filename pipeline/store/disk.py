@@ -2,11 +2,11 @@
 
 Every change goes through :func:`write`, :func:`fsync`, :func:`rename`, :func:`mkdir`, :func:`unlink` and :func:`rmdir`,
 looked up in this module at each call, so that a test can kill the process or fill the disk at any of them. Lock files
-are exempt, because nothing in them must outlive a process. POSIX only (flock).
+are exempt, because nothing in them must outlive a process. POSIX only (flock). An OSError names its file; the command
+line explains it.
 """
 
 import contextlib
-import errno
 import fcntl
 import hashlib
 import os
@@ -19,16 +19,28 @@ from pipeline.errors import PuddleError
 
 def write(path: Path, data: bytes) -> None:
     """Write a whole file, replacing what is there."""
-    path.write_bytes(data)
+    with _named(path):
+        path.write_bytes(data)
 
 
 def fsync(path: Path) -> None:
     """Flush a file, or a folder's list of names, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        with _named(path):
+            os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Have an error name the file, as that of an open one does not."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or str(path)
+        raise
 
 
 def rename(path: Path, target: Path) -> None:
@@ -97,16 +109,6 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def size_bytes(folder: Path) -> int:
-    """Return the total length of all files below a folder [bytes]."""
-    total = 0
-    for parent, _, files in os.walk(folder):  # rglob fails if a folder disappears
-        for name in files:
-            with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
-                total += Path(parent, name).lstat().st_size
-    return total
-
-
 class Locked(PuddleError):  # noqa: N818 (a state, not a fault)
     """Another process holds a lock."""
 
@@ -144,30 +146,3 @@ def locked(path: Path, *, seconds: float = 120.0, kind: int = fcntl.LOCK_EX, cre
         yield descriptor
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def explained(doing: str, path: Path, *, advice: str = "run the same command again to resume") -> Iterator[None]:
-    """Turn an OSError into a PuddleError that says what failed, what is safe and what to do.
-
-    Args:
-        doing: the operation, as in "committing the item".
-        path: the file or folder concerned.
-        advice: what to do once the cause is removed.
-
-    Raises:
-        PuddleError: in place of the OSError.
-    """
-    try:
-        yield
-    except OSError as error:
-        match error.errno:
-            case errno.ENOSPC | errno.EDQUOT:
-                mend = "Free some space and"
-            case errno.EROFS | errno.EACCES | errno.EPERM:
-                mend = "Allow writing (permissions, a read-only disk) or choose another folder; then"
-            case _:
-                mend = "Remove the cause and"
-        file = error.filename2 or error.filename  # for a rename, the new name
-        problem = f"{doing} failed: {error.strerror or error}{f' ({file})' if file else ''}"
-        raise PuddleError(f"{path}: {problem}. Committed results are safe. {mend} {advice}.") from error

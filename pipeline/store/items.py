@@ -62,7 +62,7 @@ class Items:
 
         Raises:
             Irreproducible: it was committed before with other contents, which stay.
-            PuddleError: the disk is full, read-only or failing.
+            OSError: the disk is full, read-only or failing.
             ValueError: the key is not that of the identity.
         """
         if key != key_of(identity):
@@ -76,7 +76,7 @@ class Items:
             record=decode_json(canonical_json(record), "record"),
         )
         folder = self._item(stage, key)
-        with disk.explained(f"committing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
+        with disk.locked(self.root / "commit.lock"):
             with contextlib.suppress(DamagedArtifact):  # a damaged one counts as missing: here is its successor
                 if committed := self.manifest(stage, key, hashed=True):
                     refuse_other_content(committed, manifest)
@@ -119,7 +119,7 @@ class Items:
     def discard(self, stage: str, key: str) -> None:
         """Remove an item, so that it is computed again; items that depend on its content stay."""
         folder = self._item(stage, key)
-        with disk.explained(f"discarding {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
+        with disk.locked(self.root / "commit.lock"):
             self._clear(folder)
 
     @staticmethod
@@ -140,13 +140,9 @@ class Items:
                     if self.manifest_path(stage, key).exists() == committed:
                         yield stage, key
 
-    def keys(self, stage: str) -> list[str]:
-        """Return the keys of a stage's items."""
-        return [key for name, key in self.items() if name == stage]
-
     def item_bytes(self, stage: str, key: str) -> int:
         """Return the total length of an item's files [bytes]."""
-        return disk.size_bytes(self._item(stage, key))
+        return sum(path.stat().st_size for path in self._item(stage, key).iterdir())
 
     def manifest_path(self, stage: str, key: str) -> Path:
         """Return the path of an item's manifest, whether or not the item is committed."""
@@ -154,10 +150,9 @@ class Items:
 
     @contextlib.contextmanager
     def _damage(self, stage: str, key: str) -> Iterator[None]:
-        """Explain a disk that can't be read, and add the item and advice to the message of any damage."""
+        """Add the item and advice to the message of any damage."""
         try:
-            with disk.explained(f"reading {stage} {key[:12]}", self.root):
-                yield
+            yield
         except DamagedArtifact as damage:
             discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
             raise DamagedArtifact(
@@ -174,11 +169,10 @@ class Items:
     def _names(self, *parts: str) -> list[str]:
         """Return the valid folder names in a folder, sorted."""
         folder = self.root.joinpath(*parts)
-        with disk.explained("listing", folder):
-            try:
-                return sorted(path.name for path in folder.iterdir() if NAME.fullmatch(path.name) and path.is_dir())
-            except FileNotFoundError:
-                return []
+        try:
+            return sorted(path.name for path in folder.iterdir() if NAME.fullmatch(path.name) and path.is_dir())
+        except FileNotFoundError:
+            return []
 
 
 def _compare(path: Path, expected: str, found: str) -> None:

@@ -46,8 +46,7 @@ class FolderKind:
 
     def check_place(self, folder: Path) -> Path:
         """Return the resolved path of a folder that is new, empty or of this kind. Raises PuddleError for any other."""
-        with disk.explained("looking for the folder", folder, advice="run the same command again"):
-            self._earlier(folder)
+        self._earlier(folder)
         return disk.resolved(folder)
 
     def _earlier(self, folder: Path) -> Mapping[str, str]:
@@ -75,13 +74,10 @@ class FolderKind:
             The new folder; its files are put in place when the block ends without an error.
 
         Raises:
-            PuddleError: the place can't be used, or the disk fails.
+            PuddleError: the place can't be used.
         """
         folder = self.check_place(folder)
-        with (
-            disk.explained(f"writing {self.word}", folder, advice="run the same command again to replace it"),
-            tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside,
-        ):
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside:
             new = NewFolder(Path(beside))
             yield new
             written = [path for path in sorted(new.path.rglob("*")) if path.is_file()]

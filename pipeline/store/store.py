@@ -4,7 +4,7 @@
 
     store.json                                    schema version; marks a folder as a store
     commit.lock                                   held during a commit
-    use.lock                                      shared by drivers and readers; exclusive for removing items
+    use.lock                                      shared by drivers; exclusive for removing items
     items/<stage>/<key[:2]>/<key>/<file>          files of an item
     items/<stage>/<key[:2]>/<key>/manifest.json   written last; without it the item does not exist
     studies/<name>/study.json                     settings of a study, and the keys of its items
@@ -23,7 +23,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,7 +39,6 @@ STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
 WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."  # advice for a study's record
 _GONE_GROUPS = {"pilot"}  # settings of earlier versions, on which no result of today's stages depends
-
 
 _SECONDS_TO_LOCK = 0.5  # a query holds a lock for an instant
 _WAIT = "Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
@@ -81,13 +80,12 @@ class Store(Items):
         """Open a store, or create one in a new or empty folder."""
         root = disk.resolved(root)
         path = root / "store.json"
-        with disk.explained("opening the store", root):
-            if not path.exists() and create:
-                cls._create(root)
-            elif not path.exists():
-                advice = "Name the folder of an existing store, or run a study to create one."
-                raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
-            decode_document(path.read_bytes(), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
+        if not path.exists() and create:
+            cls._create(root)
+        elif not path.exists():
+            advice = "Name the folder of an existing store, or run a study to create one."
+            raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
+        decode_document(path.read_bytes(), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
         return cls(root)
 
     @classmethod
@@ -102,47 +100,39 @@ class Store(Items):
         with disk.locked(root / "commit.lock"):
             disk.place(root / "store.json", encode_document({}, schema=STORE_SCHEMA, version=STORE_VERSION))
 
-    def verify(
-        self, study: str | None = None, *, checked: Callable[[int], object] = lambda n_bytes: None
-    ) -> list[PuddleError]:
-        """Hash every item again, and read the records of studies; or those of one study.
+    def verify(self, *, checked: Callable[[], object] = lambda: None) -> list[PuddleError]:
+        """Hash every item again, and read the records of studies.
 
         Args:
-            study: name of the only study to verify.
-            checked: called with the length of each item after it has been verified [bytes].
+            checked: called after each item.
 
         Returns:
-            One error for each problem. Damage to an item, or its loss, is a DamagedArtifact with its stage and key. A
-            file of a newer puddle is an OtherVersion, because discarding would not mend it.
+            One error for each problem. Damage to an item, or its loss, is a DamagedArtifact with its stage and key;
+            discarding the item mends it, and no other problem.
         """
         wrong: list[PuddleError] = []
-        items = dict.fromkeys(self.items() if study is None else (), "an item")
-        for name in self._names("studies") if study is None else [study]:
+        items = dict.fromkeys(self.items(), "of no study")
+        for name in self._names("studies"):
             try:
                 record = self.read_study(name)
                 if record is None and self.driver_of(name) is None:
                     path = self.study_path(name) / "study.json"
                     raise DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}")
                 for item in record.items if record else ():
-                    items[item.stage, item.key] = f"study {name}'s {item.stage} {item.label}"
+                    items[item.stage, item.key] = f"study {name}: {item.stage} {item.label}"
             except PuddleError as error:
                 wrong.append(error)
         for (stage, key), what in sorted(items.items()):
-            n_bytes = 0
             try:
                 with self._damage(stage, key):
-                    if (manifest := self.manifest(stage, key, hashed=True)) is None:
-                        path = self.manifest_path(stage, key)
-                        raise DamagedArtifact(f"{path}: expected the manifest of {what}, found no file")
-                n_bytes = sum(entry.n_bytes for entry in manifest.files.values())
-            except PuddleError as error:
-                wrong.append(error)
-            checked(n_bytes)
+                    if self.manifest(stage, key, hashed=True) is None:
+                        raise DamagedArtifact(f"{self.manifest_path(stage, key)}: expected a manifest, found no file")
+            except DamagedArtifact as error:
+                wrong.append(DamagedArtifact(f"{what}: {error}", stage=stage, key=key))
+            except (PuddleError, OSError) as error:
+                wrong.append(PuddleError(f"{what}: {error}"))
+            checked()
         return wrong
-
-    def size_bytes(self) -> int:
-        """Return the total length of all files [bytes]."""
-        return disk.size_bytes(self.root)
 
     # -- studies -------------------------------------------------------------------------------------------------------
 
@@ -150,10 +140,7 @@ class Store(Items):
         """Write the record of a study, replacing the earlier one."""
         folder = self.study_path(record.name)
         data = encode_document(_RECORD.dump_python(record, mode="json"), schema=STUDY_SCHEMA, version=STUDY_VERSION)
-        with (
-            disk.explained(f"writing the record of study {record.name}", self.root),
-            disk.locked(self.root / "commit.lock"),
-        ):
+        with disk.locked(self.root / "commit.lock"):
             disk.make_folders(folder)
             disk.place(folder / "study.json", data)
 
@@ -163,17 +150,14 @@ class Store(Items):
         A damaged record raises DamagedArtifact, and one of another version of puddle OtherVersion.
         """
         path = self.study_path(name) / "study.json"
-        with disk.explained(f"reading study {name}", self.root):
-            try:
-                data = path.read_bytes()
-            except FileNotFoundError:
-                return None
         try:
+            data = path.read_bytes()
             body = decode_document(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
-            record = _RECORD.validate_python(body)
-            kept = {group: chosen for group, chosen in record.settings.items() if group not in _GONE_GROUPS}
-            return replace(record, settings=kept)
-        except (DamagedArtifact, ValidationError) as error:
+            settings = {group: chosen for group, chosen in body["settings"].items() if group not in _GONE_GROUPS}
+            return _RECORD.validate_python({**body, "settings": settings})
+        except FileNotFoundError:
+            return None
+        except (DamagedArtifact, KeyError, AttributeError, ValidationError) as error:
             raise DamagedArtifact(
                 f"{path}: expected a study's name, settings and items: {error}. {WRITTEN_ANEW}"
             ) from None
@@ -194,26 +178,16 @@ class Store(Items):
             driver = self.driver_of(name) or "a process that has just ended"
             return f"study {name} is driven by {driver}. {_WAIT}"
 
+        def removing() -> str:
+            return f"{self.root}: another process of puddle is removing items. Wait until it ends."
+
         folder = self.study_path(name)
-        with self._lock("use.lock", self._is_removing, kind=fcntl.LOCK_SH):
-            with disk.explained(f"making the folder of study {name}", self.root):
-                disk.make_folders(folder)
+        with self._lock("use.lock", removing, kind=fcntl.LOCK_SH):
+            disk.make_folders(folder)
             with self._lock(f"studies/{name}/driver.lock", taken) as descriptor:
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, _signature())
                 yield
-
-    @contextlib.contextmanager
-    def lock_to_read(self) -> Iterator[None]:
-        """Prevent the removal of items while they are read; refuse to read while `puddle gc` runs.
-
-        Nothing is written, so that a store on a read-only disk, or another user's, can be read too. A store without a
-        lock file has never been driven on this machine, and nothing has been removed from it.
-        """
-        driven = (self.root / "use.lock").exists()
-        lock = self._lock("use.lock", self._is_removing, kind=fcntl.LOCK_SH, create=False)
-        with lock if driven else contextlib.nullcontext():
-            yield
 
     @contextlib.contextmanager
     def lock_all(self) -> Iterator[None]:
@@ -222,44 +196,36 @@ class Store(Items):
         def taken() -> str:
             drivers = {name: self.driver_of(name) for name in self._names("studies")}
             driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
-            return f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle reads it'}. {_WAIT}"
+            return f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle removes items'}. {_WAIT}"
 
         with self._lock("use.lock", taken):
             yield
 
-    def _is_removing(self) -> str:
-        return f"{self.root}: another process of puddle is removing items. Wait until it ends."
-
     @contextlib.contextmanager
-    def _lock(
-        self, name: str, taken: Callable[[], str], *, kind: int = fcntl.LOCK_EX, create: bool = True
-    ) -> Iterator[int]:
+    def _lock(self, name: str, taken: Callable[[], str], *, kind: int = fcntl.LOCK_EX) -> Iterator[int]:
         """Hold one of the store's lock files, or raise a PuddleError that says who does."""
         with contextlib.ExitStack() as held:
-            with disk.explained("locking the store", self.root):
-                try:
-                    lock = disk.locked(self.root / name, seconds=_SECONDS_TO_LOCK, kind=kind, create=create)
-                    descriptor = held.enter_context(lock)
-                except disk.Locked:
-                    raise PuddleError(taken()) from None
+            try:
+                descriptor = held.enter_context(disk.locked(self.root / name, seconds=_SECONDS_TO_LOCK, kind=kind))
+            except disk.Locked:
+                raise PuddleError(taken()) from None
             yield descriptor
 
     def driver_of(self, name: str) -> str | None:
         """Describe the process that drives a study; None if none does."""
         path = self.study_path(name) / "driver.lock"
-        with disk.explained(f"asking who drives study {name}", self.root):
-            try:
-                with disk.locked(path, seconds=0.0, kind=fcntl.LOCK_SH, create=False):
-                    return None
-            except FileNotFoundError:
+        try:
+            with disk.locked(path, seconds=0.0, kind=fcntl.LOCK_SH, create=False):
                 return None
-            except disk.Locked:
-                return path.read_text() or "another process, which has only just started"
+        except FileNotFoundError:
+            return None
+        except disk.Locked:
+            return path.read_text() or "another process, which has only just started"
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
         """Write a study's report to its folder, over the earlier one, and return the folder."""
         folder = self.export_path(name)
-        with disk.explained(f"exporting study {name}", self.root), disk.locked(self.root / "commit.lock"):
+        with disk.locked(self.root / "commit.lock"):
             disk.make_folders(folder)
             for file, data in sorted(files.items()):
                 disk.place(folder / file, data)

@@ -85,7 +85,7 @@ def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: T
         raise PuddleError(f"--out: expected a file name that ends in .csv, in an existing folder, got {out}")
     tracked, lines = follow(videos, markers, options)
     films = [out.with_name(f"{out.stem}-check{f'-{i + 1}' * (len(videos) > 1)}.mp4") for i in range(len(videos))]
-    with disk.explained("writing tracks", out, advice="choose another file"), contextlib.ExitStack() as unwanted:
+    with contextlib.ExitStack() as unwanted:
         temporary = [path.with_name(f".{path.name}.new.mp4") for path in films]
         for path in temporary:
             unwanted.callback(path.unlink, missing_ok=True)

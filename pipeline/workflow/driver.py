@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -18,7 +17,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.compiling import compile_kernels
 from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require, results_of
-from pipeline.workflow.progress import NOTHING, Progress, StudyTimes, Work
+from pipeline.workflow.progress import NOTHING, Progress
 from pipeline.workflow.record import DrivenStudy
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror
@@ -38,7 +37,6 @@ def drive(
     progress: Progress,
     how_to_run: Callable[[str], str],
     source: str = "",
-    expected_seconds: Callable[[float], Mapping[str, float]] = lambda n_cores: {},
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
 
@@ -55,7 +53,6 @@ def drive(
         progress: shows progress to the user.
         how_to_run: returns the command line that runs a stage, for messages.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
-        expected_seconds: returns about how long what is left of each stage takes on a number of cores [s].
 
     Returns:
         Results of every stage up to the last one wanted, by name; those of wanted stages say what diverged.
@@ -78,13 +75,7 @@ def drive(
 
         record = DrivenStudy(settings, store, progress.say, source)
 
-        def study_times() -> StudyTimes:
-            expected = expected_seconds(cluster().n_cores)
-            names = tuple(stage.name for stage in stages)
-            return StudyTimes(names, {stage.name: expected.get(stage.name, 0.0) for stage in wanted})
-
-        times = functools.cache(study_times)
-        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, times, how_to_run)
+        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, how_to_run)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -112,7 +103,6 @@ class _Driver:
     cluster: Callable[[], Cluster]
     mirror: StudyMirror
     progress: Progress
-    times: Callable[[], StudyTimes]
     how_to_run: Callable[[str], str]
 
     def run(self, wanted: Sequence[AnyStage]) -> Upstream:
@@ -125,13 +115,11 @@ class _Driver:
                 upstream[stage.name] = results_of(stage, chains)
                 continue
             require(self.settings, stage, self.stages, upstream, how_to_run=self.how_to_run)
-            finished = False
             try:
                 self._compute(run, chains)
-                finished = stage is last
             finally:  # `puddle status` needs to know what failed, however the stage ended
                 upstream[stage.name] = results_of(stage, chains)
-                self.record.update(upstream, finished=finished)
+                self.record.update(upstream)
             found = upstream[stage.name]
             upstream[stage.name] = replace(found, diverged=stage.diverged(self.settings, found, self.store))
             summary = stage.summarise(self.settings, found, self.store)
@@ -147,14 +135,9 @@ class _Driver:
         left = sum((chain.left for chain in chains if chain.open), NOTHING)
         done = sum((chain.done for chain in chains), NOTHING)
         cluster = self.cluster()
-        name, unit = run.stage.name, run.stage.unit
+        place = f"stage {self.stages.index(run.stage) + 1} of {len(self.stages)}, {run.stage.name}"
         with (
             self.mirror.live(run.stage, chains),
-            self.progress.stage(name, unit=unit, total=left + done, done=done, study=self.times()) as bar,
+            self.progress.stage(place, unit=run.stage.unit, total=left + done, done=done) as bar,
         ):
-
-            def advance(work: Work) -> None:
-                self.record.begin()  # these settings have a result
-                bar.advance(work)
-
-            run_stage(run, chains, cluster=cluster, advance=advance)
+            run_stage(run, chains, cluster=cluster, advance=bar.advance)

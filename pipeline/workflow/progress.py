@@ -1,4 +1,4 @@
-"""Progress of a stage: the share done, and the time left for it and for the whole study.
+"""Progress of a stage: the share done, and the time left.
 
 A terminal shows a bar; anything else (a log, a pipe, a batch job) gets a line now and then. Both go to standard error,
 so that results on standard output can be piped. The count is in units, but the share done and the time left follow
@@ -8,9 +8,9 @@ their cost, because some units cost ten times as much as others.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import timedelta
 
 from rich.console import Console
@@ -38,32 +38,13 @@ class Work:
 NOTHING = Work()
 
 
-@dataclass(frozen=True)
-class StudyTimes:
-    """How long the stages of a study that are to run should take [s]."""
-
-    stages: tuple[str, ...] = ()  # names of all stages, in order
-    expected: Mapping[str, float] = field(default_factory=dict)  # of what is left of each stage that is to run
-
-    def place(self, stage: str) -> str:
-        """Return which of the stages one is."""
-        return f"stage {self.stages.index(stage) + 1} of {len(self.stages)}, {stage}" if self.stages else stage
-
-    def later(self, stage: str) -> float:
-        """Return the time of the stages after one [s]."""
-        after = self.stages[self.stages.index(stage) + 1 :] if self.stages else ()
-        return sum(self.expected.get(name, 0.0) for name in after)
-
-
 @dataclass
 class Pace:
     """Work done so far, and the time left that follows from it."""
 
-    name: str
     unit: str
     total: Work
     found: Work = NOTHING  # work done before the stage started
-    study: StudyTimes = StudyTimes()
     changed: Callable[[], None] = lambda: None
     clock: Callable[[], float] = time.monotonic
 
@@ -88,13 +69,9 @@ class Pace:
             text += f", {int(self.done.units + _ROUNDING):,}/{int(self.total.units + _ROUNDING):,} {self.unit}"
         if self.fraction == 1.0:
             return f"{text}, took {_duration(seconds)}"
-        left = self.study.expected.get(self.name)  # until some work is done
-        if since > 0:
-            left = seconds * (self.total.cost - self.done.cost) / since
-        if left is None:
+        if since <= 0:
             return f"{text}, {_duration(seconds)} so far"
-        later = self.study.later(self.name)
-        return f"{text}, {_duration(left)} left" + (f"; study: {_duration(left + later)} left" if later else "")
+        return f"{text}, {_duration(seconds * (self.total.cost - self.done.cost) / since)} left"
 
 
 def _duration(seconds: float) -> str:
@@ -106,8 +83,8 @@ class Progress:
     """Shows progress to the user: bars where there is a terminal, else lines now and then."""
 
     console: Console
+    bars: RichProgress
     seconds_between_lines: float
-    bars: RichProgress | None
     last: float = -float("inf")
 
     def say(self, line: str) -> None:
@@ -115,9 +92,7 @@ class Progress:
         self.console.print(line, markup=False, soft_wrap=True)
 
     @contextmanager
-    def stage(
-        self, name: str, *, unit: str, total: Work, done: Work = NOTHING, study: StudyTimes | None = None
-    ) -> Iterator[Pace]:
+    def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Pace]:
         """Return a context manager that shows a stage while it runs, and gives the bar to advance.
 
         Args:
@@ -125,37 +100,34 @@ class Progress:
             unit: unit of work, in the plural.
             total: work of the whole stage, including what is done.
             done: work that the store already has.
-            study: the study that the stage belongs to, if it is one of a study's.
         """
-        pace = Pace(name, unit, total, done, study or StudyTimes())
-        place = pace.study.place(name)
-        task = self.bars.add_task(place, total=1.0, pace=pace) if self.bars else None
+        pace = Pace(unit, total, done)
+        task = self.bars.add_task(name, total=1.0, pace=pace)
 
         def show() -> None:
-            if self.bars and task is not None:
-                self.bars.update(task, completed=pace.fraction)
-            elif pace.fraction < 1.0 and pace.clock() - self.last >= self.seconds_between_lines:
+            self.bars.update(task, completed=pace.fraction)
+            due = self.last + self.seconds_between_lines
+            if self.bars.disable and pace.fraction < 1.0 and pace.clock() >= due:
                 self.last = pace.clock()
-                self.say(f"{place}: {pace}")
+                self.say(f"{name}: {pace}")
 
         pace.changed = show
         show()
         try:
             yield pace
         finally:
-            if self.bars and task is not None:
-                self.bars.remove_task(task)
-                self.bars.refresh()
-            self.say(f"{place}: {pace}")
+            self.bars.remove_task(task)
+            self.bars.refresh()
+            self.say(f"{name}: {pace}")
 
 
 @contextmanager
 def progress(console: Console | None = None, *, seconds_between_lines: float = 10.0) -> Iterator[Progress]:
     """Show progress on a console, standard error by default."""
     console = console or Console(stderr=True, highlight=False)
-    if not console.is_interactive:  # no terminal, or one that can't move its cursor
-        yield Progress(console, seconds_between_lines, None)
-        return
     place, pace = (TextColumn(text, markup=False) for text in ("{task.description}", "{task.fields[pace]}"))
-    with RichProgress(place, BarColumn(_BAR_WIDTH), pace, console=console, redirect_stdout=False) as bars:
-        yield Progress(console, seconds_between_lines, bars)
+    no_bars = not console.is_interactive  # no terminal, or one that can't move its cursor
+    with RichProgress(
+        place, BarColumn(_BAR_WIDTH), pace, console=console, redirect_stdout=False, disable=no_bars
+    ) as bars:
+        yield Progress(console, bars, seconds_between_lines)

@@ -16,14 +16,10 @@ from pipeline.workflow.stage import Upstream
 
 
 class DrivenStudy:
-    """The record of the study that this process drives: read once, then rewritten as its stages end.
-
-    `puddle gc` keeps what the record lists. So where the name had other settings, their record stays until these
-    settings have a result, or need none.
-    """
+    """The record of the study that this process drives: read once, then rewritten as its stages end."""
 
     def __init__(self, settings: Settings, store: Store, say: Callable[[str], None], source: str = "") -> None:
-        """Read the record, or begin one.
+        """Put the study's settings on record.
 
         Args:
             settings: the study's settings.
@@ -32,52 +28,36 @@ class DrivenStudy:
             source: where the settings come from: "preset laptop", or the path of a file.
         """
         self._store = store
-        self._new = StudyRecord(settings.name, settings.model_dump(mode="json"), (), source=source)
-        self._record: StudyRecord | None = None  # of these settings; None while the store has that of others
+        self._record = StudyRecord(settings.name, settings.model_dump(mode="json"), (), source=source)
         try:
             before = store.read_study(settings.name)
         except DamagedArtifact as damage:
             say(f"{damage}")
             before = None
-        if before is None:
-            self.begin()
-        elif before.settings == self._new.settings:
+        if before is not None and before.settings == self._record.settings:
             self._record = replace(before, source=source or before.source)
-        else:
-            changes = differences(before.settings, self._new.settings)
+        elif before is not None:
+            changes = differences(before.settings, self._record.settings)
             listed = ", ".join(changes[:4]) + (f" and {len(changes) - 4} more" if len(changes) > 4 else "")
             say(
                 f"study {settings.name} is on record with different settings ({listed}). This run replaces its report. "
                 f"The old results stay in the store until `puddle gc`: a run with the old settings restores the old "
-                f"report within seconds. To keep both reports, stop (Ctrl-C) before the first result, and add --set "
-                f"name=ANOTHER."
+                f"report within seconds. To keep both reports, use --set name=ANOTHER."
             )
+        if before != self._record:
+            store.write_study(self._record)
 
-    def begin(self) -> None:
-        """Put the study's settings on record, if they are not."""
-        if self._record is None:
-            self._write(self._new)
-
-    def update(self, upstream: Upstream, *, finished: bool) -> None:
-        """Record what the stages so far made and lack; later stages keep what the record says of them.
-
-        Settings without a result are put on record only once the last stage that is asked for has ``finished``.
-        """
-        if self._record is None and not finished:
-            return
-        before = self._record or self._new
+    def update(self, upstream: Upstream) -> None:
+        """Record what the stages so far made and lack; later stages keep what the record says of them."""
         items, failed = list[StudyItem](), list[FailedChain]()
         for name, results in upstream.items():
             failed += [FailedChain(name, chain.label, str(why)) for chain, why in results.failed.items()]
             for chain, manifests in results.done.items():
                 items += [StudyItem(name, item_label(chain, i), manifest.key) for i, manifest in enumerate(manifests)]
-        items += [item for item in before.items if item.stage not in upstream]
-        failed += [chain for chain in before.failed if chain.stage not in upstream]
-        self._write(replace(before, items=tuple(items), failed=tuple(failed)))
-
-    def _write(self, record: StudyRecord) -> None:
-        self._store.write_study(record)
-        self._record = record
+        items += [item for item in self._record.items if item.stage not in upstream]
+        failed += [chain for chain in self._record.failed if chain.stage not in upstream]
+        self._record = replace(self._record, items=tuple(items), failed=tuple(failed))
+        self._store.write_study(self._record)
 
 
 def recorded_study(store: Store, name: str) -> StudyRecord:

@@ -16,7 +16,6 @@ from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.store import disk
 from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -105,11 +104,10 @@ class OutsideFile:
         """Return the content by the file's path.
 
         Raises:
-            PuddleError: it can't be read, or has changed.
+            PuddleError: it has changed.
         """
         path = Path(self.path)
-        with disk.explained("reading", path):
-            content = path.read_bytes()
+        content = path.read_bytes()
         if (found := digest(content)) != self.digest:
             raise PuddleError(
                 f"{path}: expected the file with the SHA-256 {self.digest[:12]}…, got {found[:12]}…: it has changed "

@@ -92,7 +92,7 @@ class StudyMirror:
             for progress in chains if stage.curves else ():
                 chain, parts = progress.chain, tuple(progress.manifests)
                 if len(parts) > n_mirrored[chain.identity]:
-                    with contextlib.suppress(PuddleError):  # damaged: the driver finds out when it needs the file
+                    with contextlib.suppress(PuddleError, OSError):  # the driver finds out when it needs the file
                         summary = None
                         if len(parts) == chain.n_items and stage.summarise_trial:
                             summary = stage.summarise_trial(self._store, chain.identity, parts)

@@ -43,7 +43,7 @@ settings = parse(Settings, sys.stdin.read(), name="changed")
 store = Store.open(Path("store"), create=True)
 with serial_cluster() as cluster:
     upstream = run(settings, store, cluster)
-DrivenStudy(settings, store, print).update(upstream, finished=True)
+DrivenStudy(settings, store, print).update(upstream)
 for stage, results in upstream.items():
     for chain, manifests in results.done.items():
         folder = Path("out", stage, chain.label)

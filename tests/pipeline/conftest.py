@@ -39,7 +39,7 @@ def recorded(settings, study, tmp_path_factory) -> Path:
     store, results = study
     root = tmp_path_factory.mktemp("recorded") / "store"
     shutil.copytree(store.root, root)
-    DrivenStudy(settings, Store.open(root, create=False), silent).update(results, finished=True)
+    DrivenStudy(settings, Store.open(root, create=False), silent).update(results)
     return root
 
 

@@ -57,7 +57,7 @@ def test_an_unknown_name_lists_the_studies(store, capsys):
     assert "--preset smoke" in message("smoke")
 
 
-@pytest.mark.parametrize("command", ["study", "status", "forecast", "verify", "doctor"])
+@pytest.mark.parametrize("command", ["study", "status", "forecast", "doctor"])
 def test_a_damaged_record_is_refused_and_stays(command, store, capsys):
     path = store.study_path("tiny") / "study.json"
     damaged = path.read_bytes()[:-20]

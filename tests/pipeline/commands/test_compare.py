@@ -35,7 +35,7 @@ def add_study(root: Path, settings: Settings) -> None:
     store = Store.open(root, create=False)
     with serial_cluster() as cluster:
         results = run(settings, store, cluster, STAGES[:BEFORE_ASSESSMENT])
-    DrivenStudy(settings, store, silent).update(results, finished=True)
+    DrivenStudy(settings, store, silent).update(results)
 
 
 @pytest.fixture(scope="module")

@@ -59,7 +59,9 @@ def test_an_unknown_option_is_a_users_mistake(command, capsys):
         (BrokenPipeError(32, "Broken pipe"), 141, ""),
         (KeyboardInterrupt(), 130, ""),
         (ArithmeticError("a defect"), 70, "ArithmeticError: a defect"),
-        (OSError(5, "Input/output error"), 70, "Input/output error"),
+        (OSError(5, "Input/output error"), 2, "puddle: Input/output error."),
+        (OSError(28, "No space left on device", "a/b"), 2, "puddle: a/b: No space left on device. Committed results"),
+        (OSError(30, "Read-only file system", "a/b"), 2, "allowed writing, or choose another folder."),
     ],
 )
 def test_every_end_of_a_command_has_its_code(error, code, said, capsys):

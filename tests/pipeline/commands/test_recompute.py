@@ -8,10 +8,14 @@ from command_line import call, refused
 from pipeline.store.store import Store
 
 
+def evolved(store: Store) -> list[str]:
+    return [key for stage, key in store.items() if stage == "evolve"]
+
+
 @pytest.fixture
 def store(store) -> Store:
     """A copy of a finished study's store in which other code has made the items of evolve."""
-    for key in list(store.keys("evolve")):
+    for key in evolved(store):
         manifest = store.manifest("evolve", key)
         files = {name: store.read(manifest, name) for name in manifest.files}
         store.discard("evolve", key)
@@ -37,14 +41,14 @@ def test_status_and_runs_name_the_stage_that_other_code_has_made(options, store,
 
 
 def test_recompute_makes_a_stage_anew(options, store, capsys):
-    before = {key: store.manifest("evolve", key) for key in store.keys("evolve")}
+    before = {key: store.manifest("evolve", key) for key in evolved(store)}
     said = refused(capsys, "evolve", "--recompute", "train", *options)
     assert "--recompute train: expected a stage that this command runs: evolve" in said
     with store.lock_study("other"):
         assert "study other is driven by process" in refused(capsys, "evolve", "--recompute", "evolve", *options)
     assert call("evolve", "--workers", "0", "--recompute", "evolve", *options) == 0
     assert "2 items of evolve are discarded" in capsys.readouterr().err
-    after = {key: store.manifest("evolve", key) for key in store.keys("evolve")}
+    after = {key: store.manifest("evolve", key) for key in evolved(store)}
     assert {key: of.digest for key, of in after.items()} == {key: of.digest for key, of in before.items()}
     assert all(of.record["code"] != before[key].record["code"] for key, of in after.items())
     assert call("status", *options) == 0

@@ -1,13 +1,11 @@
 """The time and disk that a study takes: by what the store measured, or else by the table of constants."""
 
-import json
 import statistics
 
 import pytest
 from command_line import call, refused
 
-from pipeline.commands import time_model
-from pipeline.commands.time_model import expected_seconds, forecast_stages, training_gpu_seconds
+from pipeline.commands.time_model import forecast_stages, training_gpu_seconds
 from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
@@ -20,9 +18,9 @@ LAPTOP = {"train": 327, "evolve": 378, "transfer": 45, "assess": 18, "analyse": 
 @pytest.mark.parametrize("name", preset_names())
 def test_every_stage_has_a_time_that_cores_shorten(name):
     settings = load(Settings, preset_path(name))
-    one, many = expected_seconds(settings, 1.0), expected_seconds(settings, 64.0)
-    assert list(one) == [stage.name for stage in STAGES]
-    assert all(0 <= many[stage] <= one[stage] for stage in one) and one["evolve"] > many["evolve"]
+    forecast = forecast_stages(settings)
+    assert [one.stage for one in forecast] == [stage.name for stage in STAGES]
+    assert all(0 <= one.seconds(64.0) <= one.seconds(1.0) for one in forecast)
 
 
 def test_the_table_is_within_a_factor_of_two_of_a_recorded_study():
@@ -55,14 +53,6 @@ def test_what_is_left_takes_the_median_time_of_what_the_store_has(study, setting
     assert left.core_seconds == pytest.approx(expected)
 
 
-def test_kernels_that_are_not_compiled_yet_take_time(monkeypatch):
-    settings = load(Settings, preset_path("smoke"))
-    monkeypatch.setattr(time_model, "seconds_to_compile", lambda physics: 0.0)
-    compiled = expected_seconds(settings, 2.0)
-    monkeypatch.setattr(time_model, "seconds_to_compile", lambda physics: 50.0)
-    assert expected_seconds(settings, 2.0) == compiled | {"evolve": compiled["evolve"] + 50.0}
-
-
 def test_a_gpu_trains_at_its_stated_rate():
     """Ten networks of 4 × 256, 50,000 iterations of 262,144 rows: 6 operations a weight and row."""
     settings = load(Settings, preset_path("paper"))
@@ -71,14 +61,10 @@ def test_a_gpu_trains_at_its_stated_rate():
     assert training_gpu_seconds(settings, 40.0) == pytest.approx(seconds, rel=0.01)
 
 
-def test_the_command_prints_a_table_and_json(tmp_path, capsys):
+def test_the_command_prints_a_table(tmp_path, capsys):
     given = ("forecast", "--preset", "paper", "--store", str(tmp_path / "none"), "--cores", "64")
     assert call(*given, "--gpu-tflops", "40", "--gpu-price", "2.5") == 0
     out = capsys.readouterr().out
     assert "study paper: the rest of the work on 64 cores" in out and "at 40 TFLOP/s: 1.1 hours, 2.7" in out
-    assert call(*given, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["n_cores"] == 64 and [one["stage"] for one in found["stages"]] == [stage.name for stage in STAGES]
-    for one in found["stages"]:  # its longest chain, or its share of the cores
-        assert one["seconds"] == max(one["core_seconds"] / 64, one["longest_chain_seconds"])
+    assert [line.split()[0] for line in out.splitlines()[2:9]] == [stage.name for stage in STAGES]
     assert "0.001" in refused(capsys, *given, "--gpu-tflops", "0")

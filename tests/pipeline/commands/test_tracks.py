@@ -91,7 +91,7 @@ def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(collect
     file.unlink()
     try:
         assert call(*words, "--workers", "0") == 0
-        assert f"{file}: reading failed: No such file" in refused(capsys, *words, "--set", "tracks.flip_x=true")
+        assert f"{file}: No such file" in refused(capsys, *words, "--set", "tracks.flip_x=true")
         file.write_bytes(content + b"\n")
         said = refused(capsys, *words, "--set", "tracks.flip_x=true")
         assert str(file) in said and "it has changed since the study was recorded" in said

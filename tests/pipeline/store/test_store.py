@@ -77,7 +77,7 @@ def test_a_discarded_item_is_computed_again_to_the_same_bytes(store: Store) -> N
     commit(store)
     before = tree(store.root)
     store.discard("evolve", KEY)
-    assert store.manifest("evolve", KEY) is None and store.keys("evolve") == []
+    assert store.manifest("evolve", KEY) is None and not list(store.items())
     store.discard("evolve", KEY)
     commit(store)
     assert tree(store.root) == before
@@ -118,7 +118,7 @@ def test_processes_that_make_and_fill_one_store_at_once(tmp_path: Path) -> None:
         racer.stdin.close()
         racer.stdout.close()
     store = Store.open(root, create=False)
-    assert len(list(store.keys("evolve"))) == 60 and store.verify() == []
+    assert len(list(store.items())) == 60 and store.verify() == []
     assert not [name for name in tree(root) if name.endswith(".tmp")]
 
 
@@ -178,20 +178,15 @@ def test_a_study_has_one_driver_which_is_named_to_a_second(store: Store) -> None
     assert store.driver_of("laptop") is None
 
 
-def test_whoever_removes_excludes_who_reads_and_who_drives(store: Store) -> None:
-    with store.lock_to_read():  # it was never driven: there is nothing to lock
-        assert not (store.root / "use.lock").exists()
-    with store.lock_study("laptop"), store.lock_to_read(), store.lock_to_read():
-        pass
+def test_whoever_removes_excludes_who_drives(store: Store) -> None:
     driven = pytest.raises(PuddleError, match=r"study laptop is driven by process .*; study paper is driven by")
     with store.lock_study("laptop"), store.lock_study("paper"), driven, store.lock_all():
         raise AssertionError("removed what is driven")
-    for use in (store.lock_to_read, store.lock_all):
-        with use(), pytest.raises(PuddleError, match=f"{store.root} is in use"), store.lock_all():
-            raise AssertionError("removed what is in use")
-    for use in (store.lock_to_read, lambda: store.lock_study("paper")):
-        removing = pytest.raises(PuddleError, match="another process of puddle is removing items")
-        with store.lock_all(), removing, use():
+    removing = pytest.raises(PuddleError, match="another process of puddle remov")
+    with store.lock_all():
+        with removing, store.lock_all():
+            raise AssertionError("removed twice")
+        with pytest.raises(PuddleError, match="is removing items"), store.lock_study("paper"):
             raise AssertionError("used what is removed")
 
 

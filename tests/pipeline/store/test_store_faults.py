@@ -11,7 +11,6 @@ import pytest
 from mounted import mounted
 from one_item import FILES, KEY, commit
 
-from pipeline.errors import PuddleError
 from pipeline.store import disk
 from pipeline.store.encoding import key_of
 from pipeline.store.store import Store
@@ -40,18 +39,9 @@ class Failing:
         return guarded
 
 
-@pytest.mark.parametrize(
-    ("number", "said"),
-    [
-        (errno.ENOSPC, "No space left on device.*Committed results are safe.*Free some space and run the same command"),
-        (errno.EDQUOT, "quota.*Committed results are safe.*Free some space"),
-        (errno.EROFS, "Read-only file system.*Committed results are safe.*choose another folder"),
-        (errno.EACCES, "Permission denied.*Committed results are safe.*choose another folder"),
-        (errno.EIO, "Input/output error.*Committed results are safe.*Remove the cause"),
-    ],
-)
-def test_a_failing_disk_is_explained_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO])
+def test_a_failing_disk_is_named_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     failing = Failing(monkeypatch, number)
     store = Store.open(tmp_path / "store", create=True)
@@ -60,7 +50,7 @@ def test_a_failing_disk_is_explained_and_loses_nothing(
     for call in range(3 * 2 + 4 * 4):  # 3 folders are made and synced; 4 files are written, synced, renamed and synced
         shutil.rmtree(store.root / "items" / "evolve", ignore_errors=True)
         failing.left = call
-        with pytest.raises(PuddleError, match=f"{store.root}.*{said}"):
+        with pytest.raises(OSError, match=os.strerror(number)):
             commit(store)
         assert store.verify() == []
         assert store.read(store.manifest("collect", key_of(earlier)), "throws.parquet") == b"kept"
@@ -76,13 +66,12 @@ def test_a_read_only_disk_is_read(tmp_path: Path) -> None:
             pass
         subprocess.run(["mount", "-o", "remount,ro", str(tmp_path)], check=True)
         store = Store.open(tmp_path / "store", create=True)
-        with store.lock_to_read():
-            assert store.read(store.manifest("evolve", KEY), "log") == b""
+        assert store.read(store.manifest("evolve", KEY), "log") == b""
         assert store.verify() == []
         other = {"stage": "evolve", "other": True}
-        with pytest.raises(PuddleError, match=r"Read-only file system.*choose another folder"):
+        with pytest.raises(OSError, match="Read-only file system"):
             store.commit("evolve", key_of(other), other, FILES, record={})
-        with pytest.raises(PuddleError, match="Read-only file system"), store.lock_study("laptop"):
+        with pytest.raises(OSError, match="Read-only file system"), store.lock_study("laptop"):
             raise AssertionError("locked a read-only disk")
-        with pytest.raises(PuddleError, match="Read-only file system"):
+        with pytest.raises(OSError, match="Read-only file system"):
             Store.open(tmp_path / "new", create=True)

@@ -1,6 +1,5 @@
 """The driver: damage during a run, a name that had other settings, and MLflow in the background."""
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -24,12 +23,7 @@ TO_TRANSFER = STAGES[:4]
 
 
 def run(
-    store: Store,
-    stages: Sequence[AnyStage] = TO_TRANSFER,
-    *overrides: str,
-    terminal: Terminal | None = None,
-    open_cluster=serial_cluster,
-    **options,
+    store: Store, stages: Sequence[AnyStage] = TO_TRANSFER, *overrides: str, terminal: Terminal | None = None, **options
 ) -> dict[str, Results]:
     terminal = terminal or Terminal()
     return drive(
@@ -39,7 +33,7 @@ def run(
         stages,
         stages=STAGES,
         store=store,
-        open_cluster=open_cluster,
+        open_cluster=serial_cluster,
         tracker=terminal,
         progress=terminal,
         how_to_run=lambda name: f"puddle {name}",
@@ -97,37 +91,14 @@ def test_damage_found_during_other_work_is_mended(store: Store) -> None:
     assert store.verify() == []
 
 
-@contextlib.contextmanager
-def stopped_after(n_items: int, error: type[BaseException] = KeyboardInterrupt):
-    """Open a cluster that raises an error after some items."""
-    with serial_cluster() as cluster:
-        next_done = cluster.next_done
-        left = iter(range(n_items))
-
-        def next_or_stop(timeout: float | None = None):
-            if next(left, None) is None:
-                raise error
-            return next_done(timeout)
-
-        cluster.next_done = next_or_stop
-        yield cluster
-
-
-def test_a_study_keeps_its_record_until_its_new_settings_have_a_result(store: Store) -> None:
-    """`puddle gc` keeps what the record lists, so stopping in time, as the message advises, loses nothing."""
+def test_other_settings_of_a_name_replace_its_record_and_say_so(store: Store) -> None:
     run(store)
-    before = store.read_study("tiny")
-    longer = "transfer.n_generations=4"  # evolution is done: that alone is no result of the new settings
-    terminal = Terminal()
-    with pytest.raises(KeyboardInterrupt):
-        run(store, TO_TRANSFER, longer, terminal=terminal, open_cluster=lambda: stopped_after(0))
-    assert "To keep both reports, stop (Ctrl-C) before" in terminal.said[0]
+    before, terminal = store.read_study("tiny"), Terminal()
+    run(store, TO_TRANSFER, "seed=2", terminal=terminal)
+    assert "tiny is on record with different settings (seed: 1 → 2)" in terminal.said[0]
+    assert store.read_study("tiny").settings["seed"] == 2
+    run(store)
     assert store.read_study("tiny") == before
-    with pytest.raises(KeyboardInterrupt):
-        run(store, TO_TRANSFER, longer, open_cluster=lambda: stopped_after(1))
-    after = store.read_study("tiny")
-    assert after.settings["transfer"]["n_generations"] == 4
-    assert [item for item in after.items if item.stage == "evolve"] == [i for i in before.items if i.stage == "evolve"]
 
 
 @pytest.mark.parametrize("source", ["preset tiny", "/studies/tiny.yaml"])
@@ -137,12 +108,3 @@ def test_a_study_has_the_tag_of_its_settings(store: Store, source) -> None:
             assert study.tags["preset"] == "tiny"
 
     run(store, TO_EVOLVE[:1], terminal=Recorder(), source=source)
-
-
-def test_settings_with_nothing_to_compute_are_recorded_too(store: Store) -> None:
-    run(store)
-    before = store.read_study("tiny")
-    run(store, TO_TRANSFER, "seed=2")
-    assert store.read_study("tiny").settings["seed"] == 2
-    run(store)
-    assert store.read_study("tiny") == before

@@ -10,15 +10,12 @@ import sys
 import pytest
 from rich.console import Console
 
-from pipeline.workflow.progress import NOTHING, Pace, StudyTimes, Work, progress
+from pipeline.workflow.progress import NOTHING, Pace, Work, progress
 
 
 def even(units: float) -> Work:
     """Return work whose units all cost the same."""
     return Work(units, cost=units)
-
-
-STUDY = StudyTimes(("train", "evolve", "report"), {"train": 60.0, "evolve": 600.0, "report": 60.0})
 
 
 @pytest.mark.parametrize(
@@ -42,22 +39,11 @@ STUDY = StudyTimes(("train", "evolve", "report"), {"train": 60.0, "evolve": 600.
 )
 def test_the_share_done_the_rate_and_the_time_left(total, found, done, seconds, text):
     now = [100.0]
-    evolve = Pace("evolve", "generations", total, found, clock=lambda: now[0])
+    evolve = Pace("generations", total, found, clock=lambda: now[0])
     now[0] += seconds
     evolve.advance(done)
     assert str(evolve) == text
     assert 0 <= evolve.fraction <= 1
-
-
-def test_the_time_left_for_a_study_adds_the_stages_to_come():
-    now = [100.0]
-    evolve = Pace("evolve", "generations", even(100), NOTHING, STUDY, clock=lambda: now[0])
-    assert str(evolve) == "0%, 0/100 generations, 0:10:00 left; study: 0:11:00 left"  # as expected
-    now[0] += 60
-    evolve.advance(even(50))
-    assert str(evolve) == "50%, 50/100 generations, 0:01:00 left; study: 0:02:00 left"  # by its pace
-    report = Pace("report", "pictures", even(10), NOTHING, STUDY, clock=lambda: 0.0)
-    assert str(report) == "0%, 0/10 pictures, 0:01:00 left"  # it is the last
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
@@ -106,14 +92,14 @@ def test_on_a_terminal_a_bar_that_is_redrawn():
     assert "evolve: 100%, 8/8 generations" in text
 
 
-def test_without_a_terminal_lines_now_and_then_that_name_the_stage_and_the_time_left_for_the_study():
+def test_without_a_terminal_lines_now_and_then():
     out = io.StringIO()
     with progress(Console(file=out), seconds_between_lines=0) as show:  # noqa: SIM117
-        with show.stage("evolve", unit="generations", total=even(10), study=STUDY) as bar:
+        with show.stage("stage 2 of 3, evolve", unit="generations", total=even(10)) as bar:
             bar.advance(even(5))
             show.say("a word [in brackets] " + "that is long " * 20)
             bar.advance(even(5))
     first, half, said, done = out.getvalue().splitlines()
-    assert first.startswith("stage 2 of 3, evolve: 0%, 0/10 generations, ") and "; study: 0:11:00 left" in first
-    assert "; study: " in half and done.startswith("stage 2 of 3, evolve: 100%, 10/10 generations")
+    assert first.startswith("stage 2 of 3, evolve: 0%, 0/10 generations, ") and half.endswith(" left")
+    assert done.startswith("stage 2 of 3, evolve: 100%, 10/10 generations")
     assert said == "a word [in brackets] " + "that is long " * 20  # neither interpreted nor wrapped
