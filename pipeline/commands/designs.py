@@ -9,7 +9,7 @@ from pipeline.commands.options import SettingsOptions, with_options
 from pipeline.commands.terminal import to_stdout
 
 _Environment = Annotated[
-    str, typer.Option("--environment", help="The environment, such as true_slush; a wrong name lists them all.")
+    str | None, typer.Option("--environment", help="The environment, by default the target; a wrong name lists all.")
 ]
 _Depth = Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")]
 
@@ -17,15 +17,15 @@ _Depth = Annotated[float, typer.Option("--depth", help="Depth of the ground belo
 @with_options
 def simulate(
     design: Annotated[Path, typer.Argument(help="A design file (design.json).")],
-    environment: _Environment,
     depth: _Depth,
     options: SettingsOptions,
+    environment: _Environment = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write a film (.gif, .mp4) or a page (.html).")] = None,
 ) -> None:
     """Simulate one design, print its displacement, and show it.
 
     The settings choose the length of the rollout. residual_slush uses the networks that the store holds for these
-    settings. Where there are networks, a page shows the design in true_slush and residual_slush side by side, and by
+    settings. Where there are networks, a page shows the design in the target and residual_slush side by side, and by
     colours where the networks disagree.
     """
     from pipeline.commands.simulations import simulate_design
@@ -39,9 +39,9 @@ def score(
         Path,
         typer.Argument(help="A table of designs: Parquet (as `puddle export` writes), or design files line by line."),
     ],
-    environment: _Environment,
     depth: _Depth,
     options: SettingsOptions,
+    environment: _Environment = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write the scores (.parquet or .csv).")] = None,
 ) -> None:
     """Score a table of designs in one environment.

@@ -28,6 +28,7 @@ from tasks.design import N_LINKS
 from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.simulation import simulate
 from tasks.world import ENVIRONMENTS, Physics, ResidualSlush, froude_time
+from tasks.world.slush import PAPERS_TARGET
 
 
 @dataclass(frozen=True)
@@ -100,12 +101,13 @@ def read_kit(folder: Path) -> BuiltRobot:
     physics = Physics.model_validate(simulated["physics"])
     time_scale = froude_time(scale) if choices.scaling.law == "froude" else 1.0
     seconds = rollout.n_measure * physics.time_step * time_scale
+    target = ENVIRONMENTS[simulated.get("environment", PAPERS_TARGET)]
     return BuiltRobot(
         name=str(document["name"]),
         design=read_design(folder / "design.json"),
         scale=scale,
         time_scale=time_scale,
-        environment=ENVIRONMENTS["true_slush"].environment(simulated["depth"], simulated["media"]),
+        environment=target.environment(simulated["depth"], simulated["media"]),
         physics=physics,
         n_settle=rollout.n_settle,
         predicted=None if predicted is None else np.array(predicted, dtype=np.float64) * scale / seconds,

@@ -39,7 +39,7 @@ _Networks = dict[NetworkId, Files]
 
 
 def simulate_design(
-    path: Path, environment: str, depth: float, out: Path | None, options: SettingsOptions
+    path: Path, environment: str | None, depth: float, out: Path | None, options: SettingsOptions
 ) -> Iterator[str]:
     """Simulate the design in a file, and show it if asked to; yield lines that state its displacement.
 
@@ -74,7 +74,7 @@ def simulate_design(
         return
     is_page = kind == _PAGE
     seen, replays = [(name, at, rollouts)], []
-    if is_page and networks and (other := _other(name, networks)):
+    if is_page and networks and (other := _other(settings.target, name, networks)):
         seen.append((other, *_rolled_out(settings, design, other, depth, ensemble, trace=True)))
     for where, there, rolled_out in seen:
         simulation, shown = environments.simulation_spec(settings, where), ensemble if is_page else None
@@ -100,15 +100,15 @@ def _rolled_out(
     return at, environments.roll_out(simulation, Execution(settings.work.engine), at, design, trace=trace)
 
 
-def _other(name: EnvironmentName, networks: _Networks) -> EnvironmentName | None:
-    """Return the environment to show beside one: the networks' for True Slush, True Slush for a network's."""
-    if name == "true_slush":
+def _other(target: EnvironmentName, name: EnvironmentName, networks: _Networks) -> EnvironmentName | None:
+    """Return the environment to show beside one: the networks' for the target, the target for a network's."""
+    if name == target:
         return ensemble_of_data_set(next(iter(networks)).data_set.group)
-    return "true_slush" if environment_kind(name).learned else None
+    return target if environment_kind(name).learned else None
 
 
 def score_designs(
-    path: Path, environment: str, depth: float, out: Path | None, options: SettingsOptions
+    path: Path, environment: str | None, depth: float, out: Path | None, options: SettingsOptions
 ) -> Iterator[str]:
     """Score the designs of a table; yield lines that summarise the scores."""
     settings = options.settings()
@@ -150,8 +150,9 @@ def score_designs(
         yield f"  scores in {out}"
 
 
-def _checked(settings: Settings, environment: str, depth: float) -> EnvironmentName:
-    """Return the name of an environment; refuse an unknown one, and a depth outside of the allowed range."""
+def _checked(settings: Settings, environment: str | None, depth: float) -> EnvironmentName:
+    """Return the name of an environment, by default the target; refuse an unknown one, and a depth out of range."""
+    environment = settings.target if environment is None else environment
     known = {name: settings.learner(name) for name in (*ENVIRONMENTS, *settings.learners)}
     names = [name for name, learner in known.items() if learner is None or not learner.is_single]
     if environment not in names:

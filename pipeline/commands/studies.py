@@ -78,18 +78,18 @@ def studies(store: StorePath = DEFAULT_STORE, as_json: AsJson = False) -> None:
 
 @with_options
 def champions(study: StudyArgument, store: StorePath = DEFAULT_STORE) -> None:
-    """Rank a study's champions by their displacement in True Slush."""
+    """Rank a study's champions by their displacement in the target."""
     from pipeline.report.render import as_text
     from tasks.analysis.scores import ScoredTrial
 
     opened = _opened(study, store)
     rows = [row for row in opened.trials() if row.status == "ok"]
     if not rows:
-        why = "no trial has been transferred to True Slush yet, or every design diverged"
+        why = f"no trial has been transferred to {opened.settings.target_label} yet, or every design diverged"
         raise PuddleError(f"study {opened.name} has no champions: {why}")
     ranked = sorted(rows, key=lambda row: (-row.depth, isnan(row.zero_shot), -row.zero_shot))
     to_stdout(
-        f"study {opened.name}: champions by zero-shot displacement in True Slush",
+        f"study {opened.name}: champions by zero-shot displacement in {opened.settings.target_label}",
         f"selected for: {opened.settings.selected_for}",
         *as_text(ScoredTrial, ranked, without=("status",)),
     )

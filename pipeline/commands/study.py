@@ -20,7 +20,7 @@ STAGE_SUMMARIES = {
     "collect": "Throw rectangles into slush: what the simulator gets wrong.",
     "train": "Train the ensemble of residual networks on the throws.",
     "evolve": "Evolve designs in every environment, at every depth.",
-    "transfer": "Score champions in True Slush, zero-shot and adapted.",
+    "transfer": "Score champions in the target, zero-shot and adapted.",
     "assess": "Compare the networks' predictions with true displacements.",
     "analyse": "Compute statistics, and where the networks hallucinate.",
     "report": "Write the page that shows the results.",
@@ -88,7 +88,7 @@ def _run_stages(
     if diverged:
         to_stderr(
             "\n".join(["Designs diverged; the rest is done:", *diverged])
-            + "\nRollouts in a sound world stay finite: check the settings of physics and slush, and the networks' "
+            + "\nRollouts in a sound world stay finite: check the settings of physics and media, and the networks' "
             "errors on the page.\nThe same settings give the same result again; finished work is safe."
         )
     if failed or diverged:
@@ -104,9 +104,10 @@ def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: 
     from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 
     depth = max(settings.grid.depths)
-    rows = [row for row in transfer_rows(read_trials(settings, upstream["transfer"], store)) if row.depth == depth]
+    trials = read_trials(settings, upstream["transfer"], store)
+    rows = [row for row in transfer_rows(trials, settings.target) if row.depth == depth]
     to_stdout(
-        f"\nChampions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]",
+        f"\nChampions of study {settings.name} in {settings.target_label}, {depth:g} m deep: mean ± SD over trials [m]",
         f"selected for: {settings.selected_for}",
         *filter(None, [scale_words(settings)]),
         *as_text(TransferRow, rows, TOO_WIDE),

@@ -203,7 +203,7 @@ _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
     ),
     "evolve": lambda settings, chain: _generation(settings, chain.spec.environment),
     "transfer": lambda settings, chain: _generation(settings, chain.spec.environment),
-    "assess": lambda settings, chain: _rollout(settings, "true_slush") + _rollout(settings, _ensemble_of(chain)),
+    "assess": lambda settings, chain: _rollout(settings, settings.target) + _rollout(settings, _ensemble_of(chain)),
     "analyse": lambda settings, chain: chain.weight * _rollout(settings, "dry_land"),
     "report": lambda settings, chain: _SECONDS_PER_PICTURE,
 }

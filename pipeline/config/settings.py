@@ -20,6 +20,7 @@ from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learn
 from tasks.tracks.conventions import Tracks
 from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush, in_order
 from tasks.world.registry import settings_groups
+from tasks.world.slush import PAPERS_TARGET
 
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 DEEPEST = 1000.0  # greatest depth of the ground [m]
@@ -52,7 +53,8 @@ class GridSettings(Parameters):
     environments: tuple[EnvironmentName, ...] = Field(
         default=("true_slush", "dry_land", "residual_slush"), min_length=1
     )
-    """Environments in which designs evolve, at every depth: media, and learners, the study's own among them. [P]"""
+    """Environments in which designs evolve, at every depth: media, and learners, the study's own among them. By default
+    the first is the target. [P]"""
     single_member_depths: tuple[Depth, ...] = (9.0,)
     """Depths at which designs also evolve in a single network, every trial in its own. Where there are more trials than
     members, more networks are trained. [P]"""
@@ -133,17 +135,17 @@ class EvolutionSettings(Parameters):
 
 
 class TransferSettings(Parameters):
-    """Tests of champions in True Slush."""
+    """Tests of champions in the target."""
 
     adapted_environments: tuple[EnvironmentName, ...] = tuple(ENVIRONMENTS)
-    """Environments whose champions' controllers are evolved again from scratch in True Slush, with frozen bodies. The
+    """Environments whose champions' controllers are evolved again from scratch in the target, with frozen bodies. The
     default is all, and the study's own learners."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each adaptation. [P]"""
 
 
 class AssessSettings(Parameters):
-    """Designs for prediction accuracy, from trials in True Slush and on Dry Land at one depth."""
+    """Designs for prediction accuracy, from trials in the target and on Dry Land at one depth."""
 
     depth: Depth = 9.0
     """Depth of the ground below the surface [m]; if the grid lacks it, the deepest of the grid is used. [P]"""
@@ -190,8 +192,11 @@ class Settings(Parameters):
     """Seed of all randomness, together with the identity of each work item."""
     physics: Physics = Physics()
     """The base simulator."""
+    target: EnvironmentName = later_choice(PAPERS_TARGET)
+    """The environment that robots are made for: throws are made in its medium, which the base simulator lacks, and
+    champions are transferred to it. [P]"""
     slush: Slush = Slush()
-    """The medium of True Slush, which the base simulator lacks."""
+    """The medium of True Slush."""
     replicates: int = Field(default=1, ge=1, le=1000)
     """Number of independent data sets and ensembles, of which trial k uses number k mod replicates. With one, the
     spread over trials shows the chance in evolution alone; with more, also that in throws and training."""
@@ -216,7 +221,7 @@ class Settings(Parameters):
     evolution: EvolutionSettings = EvolutionSettings()
     """Evolution of designs."""
     transfer: TransferSettings = TransferSettings()
-    """Tests of champions in True Slush."""
+    """Tests of champions in the target."""
     assess: AssessSettings = AssessSettings()
     """Designs that predictions are tested on."""
     tank: Tank | None = None
@@ -224,6 +229,13 @@ class Settings(Parameters):
     the robot that was built."""
     work: WorkSettings = WorkSettings()
     """How the work is divided."""
+
+    @model_validator(mode="after")
+    def _target_is_an_arm(self) -> Self:
+        if self.target != PAPERS_TARGET and "environments" not in self.grid.model_fields_set:
+            arms = (self.target, *self.grid.environments[1:])
+            object.__setattr__(self, "grid", self.grid.model_copy(update={"environments": arms}))
+        return self
 
     @model_validator(mode="after")
     def _groups_agree(self) -> Self:
@@ -242,6 +254,11 @@ class Settings(Parameters):
             raise ValueError(
                 f"replicates is {self.replicates} and grid.n_trials is {self.grid.n_trials}, so some data sets would "
                 f"have no trial: expected at least as many trials as replicates"
+            )
+        if self.slush != Slush() and PAPERS_TARGET not in (self.target, *self.grid.environments):
+            raise ValueError(
+                f"slush is given, but neither target nor grid.environments has {PAPERS_TARGET}, whose medium it is: "
+                f"expected one of them to have it, got target {self.target}"
             )
         self._check_objective()
         self._check_learners()
@@ -291,13 +308,16 @@ class Settings(Parameters):
                 said = error.errors()[0]["msg"].removeprefix("Value error, ")
                 raise ValueError(f"learners.{name}, with the study's groups: {said}") from None
         known = (*ENVIRONMENTS, *self.learners)
-        for place, names in (
-            (("grid", "environments"), self.grid.environments),
-            (("transfer", "adapted_environments"), self.transfer.adapted_environments),
+        media = [name for name, kind in ENVIRONMENTS.items() if kind.has_one_medium]
+        for place, names, allowed in (
+            (("target",), (self.target,), media),
+            (("grid", "environments"), self.grid.environments, known),
+            (("transfer", "adapted_environments"), self.transfer.adapted_environments, known),
         ):
             for name in names:
-                if name not in known:
-                    words = f"expected any of {', '.join(known)}, got {name!r}"
+                if name not in allowed:
+                    one_medium = "an environment of one medium, " if allowed is media else ""
+                    words = f"expected {one_medium}any of {', '.join(allowed)}, got {name!r}"
                     unknown = PydanticCustomError("value_error", words)
                     errors: list[InitErrorDetails] = [{"type": unknown, "loc": place, "input": name}]
                     raise ValidationError.from_exception_data("Settings", errors)
@@ -334,9 +354,19 @@ class Settings(Parameters):
         return self.assess.depth if self.assess.depth in depths else max(depths)
 
     def is_adapted(self, environment: EnvironmentName) -> bool:
-        """Return whether the controllers of champions of an environment adapt to True Slush."""
+        """Return whether the controllers of champions of an environment adapt to the target."""
         adapted = self.transfer.adapted_environments
         return environment in adapted or adapted == TransferSettings().adapted_environments
+
+    @property
+    def target_label(self) -> str:
+        """The target as readers know it."""
+        return ENVIRONMENTS[self.target].label
+
+    @property
+    def has_papers_target(self) -> bool:
+        """Whether displacements are comparable with the paper's."""
+        return self.target == PAPERS_TARGET and self.slush.is_papers
 
     @property
     def needs_ensemble(self) -> bool:

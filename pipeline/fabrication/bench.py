@@ -112,7 +112,7 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
             f"the kit has {settings.scale_mm_per_m:g} mm per metre of simulation, the tank of its settings {expected} "
             f"mm. Results from that tank do not apply to this kit; to match it, --set kit.scale_mm_per_m={expected}"
         )
-    about_robot += check_predictions(source.predicted, source.true_slush)
+    about_robot += check_predictions(source.predicted, source.zero_shot)
     findings += [KitFinding("warning", "robot", message) for message in about_robot]
     return Bench(
         scales=scales,
@@ -128,7 +128,9 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
 def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | None:
     """Simulate a design on the reference engine, the only one that reports motor torques. None if it diverges."""
     design, rollout = source.design, source.settings.rollout
-    environment = environments.true_slush(environments.media_of(source.settings, "true_slush"), source.depth)
+    target = source.settings.target
+    media = environments.media_of(source.settings, target)
+    environment = environments.build_environment(media, target, source.depth, {})
     rollouts = simulate(design, environment, engine="reference", trace=True, physics=physics, **rollout.model_dump())
     if rollouts.status[0] != OK or rollouts.trace is None or rollouts.motor_torque is None:
         return None
@@ -216,14 +218,14 @@ def check_floating(floating: Floating, tank_mm: float) -> Iterator[str]:
         )
 
 
-def check_predictions(displacements: Sequence[float] | None, true_slush: float | None) -> Iterator[str]:
-    """Check the (n_members) displacements [m of simulation] that an ensemble predicts, also against True Slush's."""
+def check_predictions(displacements: Sequence[float] | None, zero_shot: float | None) -> Iterator[str]:
+    """Check the (n_members) displacements [m of simulation] that an ensemble predicts, also against the target's."""
     if displacements is None:
         return
     mean, deviation = float(np.mean(displacements)), float(np.std(displacements))
     predicted = f"{mean:+.2f} ± {deviation:.2f} m of simulation"
     if deviation > abs(mean):
         yield f"the study's networks disagree on its displacement: {predicted}"
-    if true_slush is not None and abs(mean - true_slush) > _MAX_DEVIATIONS * deviation:
-        truth = f"{true_slush:+.2f} m, more than {_MAX_DEVIATIONS:g} σ away"
-        yield f"the study's networks predict {predicted}, but True Slush gives {truth}"
+    if zero_shot is not None and abs(mean - zero_shot) > _MAX_DEVIATIONS * deviation:
+        truth = f"{zero_shot:+.2f} m, more than {_MAX_DEVIATIONS:g} σ away"
+        yield f"the study's networks predict {predicted}, but the target gives {truth}"

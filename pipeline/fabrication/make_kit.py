@@ -61,7 +61,7 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
     files["index.html"] = page.encode()
     metrics = {"n_faults": float(n_faults), "mass_g": kit.mass_g, "submerged_share": bench.floating.sealed_share}
     metrics |= {f"margin.joint_{load.joint}": load.margin for load in bench.loads if isfinite(load.margin)}
-    media = environments.media_of(source.settings, "true_slush")
+    media = environments.media_of(source.settings, source.settings.target)
     manifest: dict[str, Json] = {
         "name": source.name,
         "origin": source.origin,
@@ -69,6 +69,7 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
         "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in findings],
         "metrics": metrics,
         "simulated": {
+            "environment": source.settings.target,
             "depth": source.depth,
             "physics": physics.model_dump(mode="json"),
             "media": {name: medium.model_dump(mode="json") for name, medium in media.items()},

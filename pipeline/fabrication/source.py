@@ -29,12 +29,12 @@ class DesignSource:
     depth: float  # depth of the slush in the simulation [m]
     predicted: tuple[float, ...] | None
     """(n_members) displacements that the study's ensemble predicts [m of simulation], if there is one."""
-    true_slush: float | None = None  # its score in True Slush [m of simulation], if the study has one
+    zero_shot: float | None = None  # its score in the target [m of simulation], if the study has one
 
     @property
     def environment(self) -> str:
         """Environment of the simulation, in words."""
-        return f"True Slush at {self.depth:g} m"
+        return f"{self.settings.target_label} at {self.depth:g} m"
 
     @property
     def prediction(self) -> tuple[float, float] | None:
@@ -44,13 +44,13 @@ class DesignSource:
 
 def from_file(path: Path, settings: Settings) -> DesignSource:
     """Read a design file, to be simulated with some settings. Raises PuddleError if it is invalid."""
-    where = f"True Slush at {_PHYSICAL_DEPTH:g} m"
+    where = f"{settings.target_label} at {_PHYSICAL_DEPTH:g} m"
     origin = f"Design file {path.name}, simulated in {where} with the settings of {settings.name}."
     return DesignSource(read_design(path), path.stem, origin, settings, _PHYSICAL_DEPTH, None)
 
 
 def proposed(study: Study) -> DesignSource:
-    """Select the champion whose True Slush score is nearest the mean of its arm. Paper, "Physical Validation".
+    """Select the champion whose zero-shot score is nearest the mean of its arm. Paper, "Physical Validation".
 
     The arm is Residual Slush if the study has it, at its greatest depth. Raises PuddleError if a champion has not been
     scored, which would shift the mean, or none survived.
@@ -60,7 +60,7 @@ def proposed(study: Study) -> DesignSource:
     rows = [row for row in study.champions().to_pylist() if row["zero_shot"] is not None]
     champions = [row for row in rows if np.isfinite(row["zero_shot"])]
     if not champions:
-        raise PuddleError(f"study {study.name!r}: no champion survived True Slush")
+        raise PuddleError(f"study {study.name!r}: no champion survived {study.settings.target_label}")
     arms = {(row["environment"], row["depth"]) for row in champions}
     environment, depth = min(arms, key=lambda arm: (arm[0] != "residual_slush", -arm[1], arm[0]))
     rows = [row for row in champions if (row["environment"], row["depth"]) == (environment, depth)]
@@ -70,8 +70,8 @@ def proposed(study: Study) -> DesignSource:
     design = study.champion(environment, depth=depth, trial=trial)
     origin = (
         f"Champion of trial {trial} of study {study.name}, evolved in {environment.replace('_', ' ')} at {depth:g} m. "
-        f"It scores {zero_shot[chosen]:+.2f} m in True Slush, nearest to the mean of {len(rows)} champions, "
-        f"{zero_shot.mean():+.2f} m."
+        f"It scores {zero_shot[chosen]:+.2f} m in {study.settings.target_label}, nearest to the mean of "
+        f"{len(rows)} champions, {zero_shot.mean():+.2f} m."
     )
     name, predicted = f"{study.name}-trial-{trial}", _predictions(study, design, depth, trial)
     return DesignSource(design, name, origin, study.settings, depth, predicted, float(zero_shot[chosen]))

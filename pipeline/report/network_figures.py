@@ -71,7 +71,7 @@ def _paths(panel: Any, throws: ThrowPaths, chosen: Int64, color: str) -> None:
 
 
 def prediction_accuracy(
-    assessed: Mapping[str, Assessed], regressions: Sequence[Regression], *, members: bool
+    assessed: Mapping[str, Assessed], regressions: Sequence[Regression], target: str, *, members: bool
 ) -> Figure:
     """Draw a 2-D histogram with regression and ideal lines for the mean of each ensemble, or for each main member.
 
@@ -113,7 +113,7 @@ def prediction_accuracy(
         for axis in (panel.xaxis, panel.yaxis):
             axis.set_major_locator(MaxNLocator(4, integer=True))
     figure.supxlabel("predicted displacement [m]")
-    figure.supylabel("in True Slush [m]")
+    figure.supylabel(f"in {target} [m]")
     handles = [Line2D([], [], color=INK, lw=1.6, label="regression"), Line2D([], [], color=INK, lw=0.9, ls=DASHED)]
     handles[1].set_label("y = x")
     legend(figure, handles, above=True)

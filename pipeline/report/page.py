@@ -27,7 +27,7 @@ from pipeline.store.tables import csv_of, described, text
 from tasks.analysis import paper
 from tasks.analysis.registry import Analysis, Assessed, percent
 from tasks.analysis.tables import ANALYSES
-from tasks.analysis.tables.transfer import TransferRow, papers_mean
+from tasks.analysis.tables.transfer import TransferRow
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
 from tasks.world import environment_kind
 
@@ -58,6 +58,11 @@ class StudyPage:
         """How the arms are drawn."""
         return looks_of(environment for environment, _, _ in self.settings.grid.trials())
 
+    @property
+    def target(self) -> str:
+        """Where champions are transferred to, as readers know it."""
+        return self.settings.target_label
+
     def rows(self, name: str) -> Sequence[Any]:
         """Return the rows of an analysis."""
         return self.tables.get(name, ())
@@ -78,15 +83,17 @@ FIGURES: Mapping[str, PageFigure] = {
     "transfer_at_depth": PageFigure(
         "Transfer at the greatest depth",
         "transfer",
-        "Displacement in True Slush, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and "
-        "single trials as points. Short marks are the paper’s means.",
-        lambda page: transfer_figures.transfer_at_depth(page.rows("transfer"), page.rows("scores"), page.looks),
+        "Displacement in {target}, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and single "
+        "trials as points.",
+        lambda page: transfer_figures.transfer_at_depth(
+            page.rows("transfer"), page.rows("scores"), page.looks, page.target
+        ),
     ),
     "transfer_across_depths": PageFigure(
         "Transfer across depths",
         "transfer",
-        "Displacement in True Slush by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
-        lambda page: transfer_figures.transfer_across_depths(page.rows("transfer"), page.looks),
+        "Displacement in {target} by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
+        lambda page: transfer_figures.transfer_across_depths(page.rows("transfer"), page.looks, page.target),
     ),
     "fitness_curves": PageFigure(
         "Fitness by generation",
@@ -99,16 +106,20 @@ FIGURES: Mapping[str, PageFigure] = {
     "prediction_accuracy": PageFigure(
         "Prediction accuracy",
         "networks",
-        "Displacement in True Slush against the ensemble’s mean prediction, for designs of whole runs. Darker cells "
+        "Displacement in {target} against the ensemble’s mean prediction, for designs of whole runs. Darker cells "
         "hold more of them. A slope m below 1 means that the networks overestimate how far robots get; the dotted line "
         "is for μ − σ.",
-        lambda page: network_figures.prediction_accuracy(page.assessed, page.rows("regressions"), members=False),
+        lambda page: network_figures.prediction_accuracy(
+            page.assessed, page.rows("regressions"), page.target, members=False
+        ),
     ),
     "prediction_accuracy_members": PageFigure(
         "Prediction accuracy of each member",
         "networks",
         "The same for each network of the main ensemble.",
-        lambda page: network_figures.prediction_accuracy(page.assessed, page.rows("regressions"), members=True),
+        lambda page: network_figures.prediction_accuracy(
+            page.assessed, page.rows("regressions"), page.target, members=True
+        ),
         inline=False,
     ),
     "data_set": PageFigure(
@@ -133,7 +144,7 @@ def draw_all(page: StudyPage, *, for_print: bool = False) -> dict[str, Drawing]:
 
 
 def _drawn(one: PageFigure, page: StudyPage) -> tuple[Figure, str]:
-    return one.draw(page), one.caption
+    return one.draw(page), one.caption.format(target=page.target)
 
 
 def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
@@ -162,7 +173,7 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         number=lambda value: typeset(f"{value:z.1f}"),
         **viewer_values(page.replays, settings.name),
     )
-    title = f"Robots evolved for slush: {settings.name}"
+    title = f"Robots evolved for {page.target}: {settings.name}"
     return document(title=title, policy=_POLICY, body=body, css=arms_css(page.looks))
 
 
@@ -216,7 +227,7 @@ def scale_words(settings: Settings) -> str:
     """Say how the study's scale of evolution compares with the paper's."""
     evaluated = settings.evolution.n_generations * settings.evolution.afpo.population_size
     share = paper.N_EVALUATED / evaluated
-    if share < 1.5:
+    if share < 1.5 or not settings.has_papers_target:
         return ""
     advice = "compare shares, not metres" if share < 500 else "the figures mean nothing"
     return f"1/{share:,.0f} of the paper’s evolution: {advice}"
@@ -224,7 +235,7 @@ def scale_words(settings: Settings) -> str:
 
 def _bars(settings: Settings, rows: Sequence[TransferRow]) -> list[dict[str, Any]]:
     """Place a bar for each environment, with a mark for the paper's mean [% of the width]."""
-    stated = {row.environment: papers_mean(row.environment, "zero_shot", row.depth) for row in rows}
+    stated = {row.environment: row.paper_zero_shot for row in rows}
     means = {row.environment: row.zero_shot.value or 0.0 for row in rows}
     values = [0.0, *means.values(), *(mean for mean in stated.values() if mean is not None)]
     low, span = min(values), max(max(values) - min(values), 1e-9)
@@ -250,13 +261,13 @@ def _bars(settings: Settings, rows: Sequence[TransferRow]) -> list[dict[str, Any
 def heroes(replays: Sequence[Replay]) -> list[tuple[int, Replay]]:
     """Return the two robots that stand for the study, with their numbers among the replays.
 
-    They are filmed in True Slush at the greatest depth: the best robot of the best arm that has never been there, and
+    They are filmed in the target at the greatest depth: the best robot of the best arm that has never been there, and
     that of dry land. A study without these arms is represented by its best robots.
     """
-    filmed = [(i, one) for i, one in enumerate(replays) if one.best and one.in_true_slush]
+    filmed = [(i, one) for i, one in enumerate(replays) if one.best and one.in_target]
     deepest = max((one.depth for _, one in filmed), default=None)
     ranked = sorted((pair for pair in filmed if pair[1].depth == deepest), key=lambda pair: -pair[1].arm_mean)
-    learned = [pair for pair in ranked if pair[1].environment not in ("true_slush", "dry_land")]
+    learned = [pair for pair in ranked if pair[1].environment not in (pair[1].command, "dry_land")]
     on_land = [pair for pair in ranked if pair[1].environment == "dry_land"]
     return [*learned[:1], *on_land] or ranked[:2]
 

@@ -13,7 +13,7 @@ class Look:
 
     marker: str  # Matplotlib marker, so that colour is never the only difference
     color: str
-    adapted: str  # once its controllers have adapted to True Slush
+    adapted: str  # once its controllers have adapted to the target
 
 
 LOOKS: Mapping[str, Look] = {

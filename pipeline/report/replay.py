@@ -20,7 +20,7 @@ STEPS_PER_FRAME = 2
 
 QUANTUM = 1e-3  # step of the encoded coordinates [m and rad]; the page is within half of it of the trace
 
-Surroundings = Literal["air", "true slush", "hallucinated slush", "another medium"]
+Surroundings = Literal["air", "medium", "hallucinated medium"]
 """What fills the space above the ground and below y = 0."""
 
 
@@ -42,6 +42,8 @@ class Replay:
     color: str = "#566270"  # of the robot in a film: that of the arm where it evolved
     robot: str = ""  # address of the robot on the page and name of its design file; "" if it has none
     group: str = ""  # heading of the viewer's list under which it is found, such as "Residual Slush, 9 m"
+    in_target: bool = False  # whether it is seen where champions are transferred to
+    command: str = ""  # environment of `puddle simulate` that shows the same
     best: bool = False  # whether it is of the best champion of its arm
     arm_mean: float = 0.0  # zero-shot displacement of its arm [m]: the mean over trials
 
@@ -53,12 +55,7 @@ class Replay:
     @property
     def hallucinated(self) -> bool:
         """Whether networks predict the medium; its surface is then dashed."""
-        return self.surroundings == "hallucinated slush"
-
-    @property
-    def in_true_slush(self) -> bool:
-        """Whether it shows the robot in True Slush."""
-        return self.surroundings == "true slush"
+        return self.surroundings == "hallucinated medium"
 
     @property
     def displacement(self) -> float:
@@ -95,6 +92,7 @@ def replay_of(
     depth: float,
     surroundings: Surroundings,
     n_settle: int,
+    command: str = "",
     time_step: float = Physics().time_step,
     disagreement: Float64 | None = None,
 ) -> Replay:
@@ -119,11 +117,8 @@ def replay_of(
         frames=at_frames(trace[..., :3], n_settle),
         fps=1 / (STEPS_PER_FRAME * time_step),
         disagreement=disagreement,
+        command=command,
     )
-
-
-_SIMULATED_IN = {"air": "dry_land", "true slush": "true_slush", "hallucinated slush": "residual_slush"}
-"""Environment of `puddle simulate` by surroundings."""
 
 
 def encode(replay: Replay) -> dict[str, Any]:
@@ -140,7 +135,7 @@ def encode(replay: Replay) -> dict[str, Any]:
         "title": replay.title,
         "robot": replay.robot,
         "environment": replay.environment,
-        "command": _SIMULATED_IN.get(replay.surroundings, replay.environment),
+        "command": replay.command,
         "seenIn": replay.seen_in,
         "depth": replay.depth,
         "hasMedium": replay.has_medium,

@@ -22,9 +22,8 @@ from pipeline.report.drawing import (
     show_at_least,
 )
 from pipeline.report.palette import Look
-from tasks.analysis import paper
 from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.transfer import TransferRow, papers_mean
+from tasks.analysis.tables.transfer import TransferRow
 from tasks.arrays import Float64
 from tasks.world import environment_kind
 
@@ -34,21 +33,22 @@ _MOST_DEPTHS = 4  # panels of fitness curves, and depths that fit into a panel o
 _TRANSFERS = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
 
 
-def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial], looks: Mapping[str, Look]) -> Figure:
-    """Draw a bar for every arm at the greatest depth: mean ± 1 SD in True Slush, the trials, the paper's mean."""
+def transfer_at_depth(
+    rows: Sequence[TransferRow], scores: Sequence[ScoredTrial], looks: Mapping[str, Look], target: str
+) -> Figure:
+    """Draw a bar for every arm at the greatest depth: mean ± 1 SD in the target, the trials, the paper's mean."""
     known = [row for row in rows if row.zero_shot.value is not None]
     if not known:
         raise NothingToDraw
     depth = max(row.depth for row in known)
     figure = Figure(figsize=(FIGURE_WIDTH, 4.1), layout="constrained")
-    axes = figure.add_subplot()
+    axes, shown = figure.add_subplot(), [row for row in known if row.depth == depth]
     ticks: dict[str, float] = {}
     center = 0.0
-    for row in known:
-        if row.depth != depth:
-            continue
+    for row in shown:
         look, centers = looks[row.environment], []
-        for quantity, mean in (("zero_shot", row.zero_shot), ("adapted", row.adapted)):
+        for quantity in _TRANSFERS:
+            mean, stated = getattr(row, quantity), getattr(row, f"paper_{quantity}")
             if mean.value is None:
                 continue
             own = [one for one in scores if (one.environment, one.depth) == (row.environment, depth)]
@@ -59,7 +59,7 @@ def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]
             axes.errorbar(center, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
             spread = np.linspace(-0.2, 0.2, len(values)) if len(values) > 1 else np.zeros(1)
             axes.plot(center + spread, values, look.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
-            if (stated := papers_mean(row.environment, quantity, depth)) is not None:
+            if stated is not None:
                 axes.plot([center + 0.34, center + 0.56], [stated] * 2, color=PAPER_MARK, lw=2.5)
             centers.append(center)
             center += 1.0
@@ -69,7 +69,7 @@ def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]
     axes.set_xticks(list(ticks.values()), list(ticks), fontsize="small" if len(ticks) <= 6 else "x-small")
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.7, center - 0.65)
-    axes.set_ylabel("displacement in True Slush [m]")
+    axes.set_ylabel(f"displacement in {target} [m]")
     show_at_least(axes)
     axes.set_title(f"depth {depth:g} m")
     axes.grid(axis="y")
@@ -77,12 +77,13 @@ def transfer_at_depth(rows: Sequence[TransferRow], scores: Sequence[ScoredTrial]
         Patch(facecolor=FAINT, edgecolor=INK, lw=0.8, label="zero-shot"),
         Patch(facecolor="none", edgecolor=INK, lw=0.8, hatch="////", label="controller adapted"),
     ]
-    paper_line = [Line2D([], [], color=PAPER_MARK, lw=2.5, label="paper")] if depth == paper.DEPTH else []
-    legend(figure, [*handles, *paper_line])
+    if any(row.paper_zero_shot is not None for row in shown):
+        handles.append(Line2D([], [], color=PAPER_MARK, lw=2.5, label="paper"))
+    legend(figure, handles)
     return figure
 
 
-def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look]) -> Figure:
+def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look], target: str) -> Figure:
     """Draw lines over depth for every environment, a panel for zero-shot and one for adapted, with ± 1 SD."""
     listed = sorted({row.depth for row in rows})
     drawn = [name for name in _TRANSFERS if any(getattr(row, name).value is not None for row in rows)]
@@ -104,7 +105,7 @@ def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look
         panel.grid(axis="y")
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
     figure.supxlabel("depth [m]")
-    figure.supylabel("displacement in True Slush [m]")
+    figure.supylabel(f"displacement in {target} [m]")
     handles = [
         Line2D([], [], color=looks[name].color, marker=looks[name].marker, ms=5, label=environment_kind(name).label)
         for name in present

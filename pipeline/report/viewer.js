@@ -121,7 +121,7 @@
     draw();
   }
 
-  // The same robot in its other environment: where it evolved, or True Slush. Robots from True Slush have none.
+  // The same robot in its other environment: where it evolved, or the target. Robots from the target have none.
   function twinOf(index) {
     const one = encoded[index];
     return encoded.findIndex((other) => other !== one && ["title", "environment", "depth"].every((name) => other[name] === one[name]));
@@ -176,7 +176,7 @@
 
   for (const button of document.querySelectorAll(".copy")) button.addEventListener("click", () => copy(button));
 
-  // Open the robot that the address of the page names, in True Slush or, after a colon, as the networks predict it.
+  // Open the robot that the address of the page names, in the target or, after a colon, as the networks predict it.
   function openAddressed() {
     const [robot, predicted] = decodeURIComponent(location.hash).slice(1).split(":");
     const found = encoded.filter((replay) => replay.robot && replay.robot === robot);

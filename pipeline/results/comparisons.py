@@ -9,8 +9,9 @@ from pipeline.workflow.record import setting_changes
 from tasks.analysis.comparison import compare
 from tasks.analysis.scores import QUANTITIES, arms
 from tasks.world import environment_kind, in_order
+from tasks.world.registry import settings_groups
 
-_OF_DISPLACEMENT = ("physics", "slush", "rollout")  # settings groups that decide what a displacement is
+_OF_DISPLACEMENT = ("physics", "target", *settings_groups(), "rollout")  # settings that decide what a displacement is
 
 
 def compare_arms(study: Study, a: str, b: str) -> Compared:
@@ -24,7 +25,7 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
         if arm not in known:
             raise PuddleError(f"--arms: expected arms of study {study.name} ({', '.join(known)}), got {arm!r}")
     trials = study.trials()
-    rows = compare(trials, trials, [((a, quantity), (b, quantity)) for quantity in QUANTITIES])
+    rows = compare(trials, trials, [((a, quantity), (b, quantity)) for quantity in QUANTITIES], study.settings.target)
     if not rows:
         raise PuddleError(f"study {study.name}: {a} and {b} have no champions at the same depth yet")
     names = [environment_kind(arm).label for arm in (a, b)]
@@ -43,8 +44,8 @@ def compare_studies(a: Study, b: Study) -> Compared:
     changes = [(name, json.dumps(new), json.dumps(old)) for name, old, new in setting_changes(of_b, of_a)]
     of_both = a.trials(), b.trials()
     known = [(name, quantity) for name in in_order(one.environment for one in of_both[0]) for quantity in QUANTITIES]
-    pairs = [(arm, arm) for arm in known if arm != ("true_slush", "predicted")]  # which is zero-shot
-    rows = compare(*of_both, pairs)
+    pairs = [(arm, arm) for arm in known if arm != (b.settings.target, "predicted")]  # which is zero-shot
+    rows = compare(*of_both, pairs, b.settings.target)
     if not rows:
         listed = [", ".join(f"{name} at {depth:g} m" for name, depth in arms(trials)) for trials in of_both]
         raise PuddleError(

@@ -8,7 +8,7 @@ from pipeline.report.replay import Surroundings, replay_of
 from pipeline.stages.replays import median_member
 from tasks.design import Designs
 from tasks.simulation import OK, simulate
-from tasks.world import Environment, Physics, ResidualSlush, TrueSlush
+from tasks.world import Environment, Physics, ResidualSlush
 
 
 def film(
@@ -45,14 +45,13 @@ def film(
     assert rollouts.trace is not None
     trace = rollouts.trace[median_member(rollouts.displacement[:, 0])] if environment.is_ensemble else rollouts.trace
     learned = isinstance(environment, ResidualSlush)
-    slush: Surroundings = "true slush" if isinstance(environment, TrueSlush) else "another medium"
-    surroundings: Surroundings = "air" if environment.medium is None else "hallucinated slush" if learned else slush
+    surroundings: Surroundings = "air" if environment.medium is None else "hallucinated medium" if learned else "medium"
     replay = replay_of(
         design,
         trace[0],
         title=path.stem,
         environment="",
-        seen_in=surroundings,
+        seen_in="air" if environment.medium is None else type(environment.medium).__name__,
         depth=environment.depth,
         surroundings=surroundings,
         n_settle=n_settle,

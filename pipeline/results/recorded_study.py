@@ -154,7 +154,7 @@ class Study:
         """Return the champion of every trial that is done and has one, in the order of the trials.
 
         Columns: environment, depth, trial; predicted (displacement where it evolved, the mean μ over an ensemble's
-        members), zero_shot and adapted (displacement in True Slush) [m]; design_json (content of a design file);
+        members), zero_shot and adapted (displacement in the target) [m]; design_json (content of a design file);
         predicted_sd (σ over members) [m] and fitness (μ - kσ, in the objective's unit). What does not exist is null.
         """
         rows = []
@@ -180,7 +180,7 @@ class Study:
             environment: where it evolved.
             depth: of the slush [m].
             trial: number of the trial.
-            adapted: whether to return it with the controller that adapted to True Slush.
+            adapted: whether to return it with the controller that adapted to the target.
 
         Raises:
             PuddleError: there is no such trial, it is not done or was not adapted, or all its designs diverged.
@@ -197,13 +197,13 @@ class Study:
         return design_from(decode_json(found["design_json"][0].as_py().encode(), where), where)
 
     def simulate(
-        self, designs: Designs, environment: str, *, depth: float, trial: int = 0, trace: bool = False
+        self, designs: Designs, environment: str | None = None, *, depth: float, trial: int = 0, trace: bool = False
     ) -> Rollouts:
         """Simulate designs as the study does: with its rollout, physics, media and networks.
 
         Args:
             designs: n_designs designs, such as a champion.
-            environment: a medium such as ``true_slush``, or one of the study's learners.
+            environment: a medium such as ``true_slush``, or one of the study's learners; by default the target.
             depth: of the ground below the surface [m].
             trial: number of the trial whose networks a learner has.
             trace: whether to record the state after every step.
@@ -212,6 +212,7 @@ class Study:
             PuddleError: there is no such environment.
             MissingInputs: a network is not trained yet.
         """
+        environment = self.settings.target if environment is None else environment
         learner = self.settings.learner(environment)
         if learner is None and environment not in ENVIRONMENTS:
             known = ", ".join((*ENVIRONMENTS, *self.settings.learners))

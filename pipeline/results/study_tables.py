@@ -62,7 +62,7 @@ _ABOUT = {
     "champions": "The best design of each trial, with its predicted, zero-shot and adapted displacement.",
     "histories": "Every design that lived in an evolution: its genes, parents, fitness and displacement.",
     "fitness_curves": "Best fitness in each generation of every trial.",
-    "adaptations": "Every controller that lived in an adaptation of a champion in True Slush.",
+    "adaptations": "Every controller that lived in an adaptation of a champion to the target.",
     "adaptation_curves": "Best fitness in each generation of every adaptation.",
     "predictions": "Designs of all generations: the networks' prediction of each, and its true displacement.",
     "transitions": "What the throws taught: states of bars, and what the base simulator gets wrong there.",

@@ -43,13 +43,13 @@ def table_file(name: str) -> str:
 def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
     """Plan one item for each analysis that applies, or one for each arm."""
     trials, chains = trials_of(settings, "transfer"), []
-    learned = next(iter(settings.arm_learners), "true_slush")
+    learned = next(iter(settings.arm_learners), settings.target)
     for name, one in ANALYSES.items():
         if not applies(one, settings):
             continue
         arms = arms_of(trials).items() if one.each == "arm" else [(None, trials)]
         for arm, own in arms:
-            home = arm.environment if arm else learned if "train" in one.reads else "true_slush"
+            home = arm.environment if arm else learned if "train" in one.reads else settings.target
             weight = one.cost * len(own) * environments.relative_cost(settings, home)
             spec = AnalysisSpec(name, one.version, data_spec(settings, own))
             chains.append(Chain(OutputId(name, arm), (1,), spec, weight=weight))
@@ -59,7 +59,8 @@ def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
 def applies(one: Analysis, settings: Settings) -> bool:
     """Return whether a study has what an analysis is about."""
     networks = settings.needs_ensemble or not {"collect", "train"} & set(one.reads)
-    return networks and (settings.tank is not None or not one.needs_tank)
+    papers = settings.has_papers_target or one.section != "paper"
+    return networks and papers and (settings.tank is not None or not one.needs_tank)
 
 
 def _item(

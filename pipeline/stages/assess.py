@@ -1,11 +1,11 @@
 """assess: how well the networks predict where designs really get. Paper, "Prediction Accuracy" and Fig. 3.
 
-Designs are drawn over the generations of every trial in True Slush and on Dry Land at one depth, and each is simulated
-in True Slush and under every member. What the figures say of it is computed by the stage analyse.
+Designs are drawn over the generations of every trial in the target and on Dry Land at one depth, and each is simulated
+in the target and under every member. What the figures say of it is computed by the stage analyse.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
-from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
@@ -25,12 +25,10 @@ from tasks.design.genes import DTYPES, GENES
 from tasks.residual import ensemble_of_data_set
 from tasks.seeding import generator
 from tasks.world import EnvironmentName
+from tasks.world.slush import PAPERS_TARGET
 
 PREDICTIONS = "predictions.parquet"
 ASSESSED = "assessed"  # role of the inputs of later stages that are a trial's predictions
-
-ASSESSED_ENVIRONMENTS: tuple[EnvironmentName, ...] = ("true_slush", "dry_land")
-"""Environments whose trials designs are drawn from: as in the paper, those that do not depend on the networks."""
 
 _SEGMENT = "segment"  # role of the inputs that are a trial's histories
 
@@ -40,8 +38,8 @@ _UNITS = {
     "trial": "",
     "generation": "",
     "identity": "running number within the trial",
-    "true": "m, of the root in True Slush; NaN where diverged",
-    "true_com": "m, of the centre of mass in True Slush",
+    "true": "m, of the root in the target; NaN where diverged",
+    "true_com": "m, of the centre of mass in the target",
     "predicted": "m, of the root under each member; NaN where diverged",
     "predicted_com": "m, of the centre of mass under each member",
 }
@@ -70,25 +68,29 @@ class AssessSpec:
     n_designs: int
     seed: int
     simulation: SimulationSpec
+    target: EnvironmentName = field(default=PAPERS_TARGET, metadata=OMIT_DEFAULT)
 
 
 def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
-    """Give every trial its share of the designs, once for each ensemble."""
+    """Give every trial its share of the designs, once for each ensemble.
+
+    Designs come from trials in the target and on Dry Land: as in the paper, those that do not depend on the networks.
+    """
     trials = [
         trial
         for trial in trials_of(settings, "assess")
-        if trial.environment in ASSESSED_ENVIRONMENTS and trial.depth == settings.assessed_depth
+        if trial.environment in (settings.target, "dry_land") and trial.depth == settings.assessed_depth
     ]
     if not trials or not settings.needs_ensemble:
         return []
-    simulation = environments.simulation_spec(settings, "true_slush")
+    simulation = environments.simulation_spec(settings, settings.target)
     groups = tuple(settings.ensembles)
     shares = zip(trials, spread_evenly(settings.assess.n_designs, len(trials)), strict=True)
     return [
         Chain(AssessmentId(trial, DataSetId(group, trial.replicate)), (n,), spec)
         for trial, n in shares
         if n
-        for spec in [AssessSpec(trial, n, settings.seed, simulation)]
+        for spec in [AssessSpec(trial, n, settings.seed, simulation, settings.target)]
         for group in groups
     ]
 
@@ -121,7 +123,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
             environments.build_environment(spec.simulation.media, name, trial.depth, networks),
             designs,
         )
-        for name in ("true_slush", learner)
+        for name in (spec.target, learner)
     )
     columns = {
         "environment": np.full(len(drawn), trial.environment),
@@ -156,15 +158,15 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Count designs, and those that diverged."""
     shares = [read_predictions([{PREDICTIONS: store.read(share, PREDICTIONS)}]) for (share,) in results.done.values()]
     if not shares:
-        return Summary(lines=["no designs: they take networks, and trials in True Slush or on Dry Land"])
+        return Summary(lines=[f"no designs: they take networks, and trials in {settings.target_label} or on Dry Land"])
     n_diverged = sum(int(divergence.somewhere(share).sum()) for share in shares)
     n = sum(len(share["true"]) for share in shares)
     members = " or ".join(f"{k}" for k in sorted({share["predicted"].shape[1] for share in shares}))
     ensembles = f" of {len(settings.ensembles)} ensembles" if len(settings.ensembles) > 1 else ""
     return Summary(
         lines=[
-            f"{n} designs of {len(shares)} trials at {settings.assessed_depth:g} m, in True Slush and under "
-            f"{members} members{ensembles}; {n_diverged} diverged"
+            f"{n} designs of {len(shares)} trials at {settings.assessed_depth:g} m, in {settings.target_label} and "
+            f"under {members} members{ensembles}; {n_diverged} diverged"
         ],
         metrics={"n_designs": n, "n_diverged": n_diverged},
     )

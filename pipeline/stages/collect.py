@@ -1,7 +1,7 @@
 """collect: the data sets of throws, simulated in chunks, or tracked. Paper, "Dataset Collection"."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from pipeline.stages.tracked import TRACK_REPORT, encode_report, outside_files, 
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.identity import InputName
+from pipeline.workflow.identity import OMIT_DEFAULT, InputName
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Results, Sources, Stage, Summary, Upstream
 from tasks.residual import (
     OBSERVATION,
@@ -29,7 +29,8 @@ from tasks.residual import (
 )
 from tasks.seeding import generator, replicate_seed
 from tasks.tracks import Tracks, residual_transitions
-from tasks.world import Physics
+from tasks.world import EnvironmentName, Physics
+from tasks.world.slush import PAPERS_TARGET
 
 THROWN = "throws"  # role of the inputs that are chunks of the data set
 TRANSITIONS = "transitions.parquet"
@@ -58,6 +59,7 @@ class ChunkSpec:
     throws: Throws
     physics: Physics
     media: Media
+    target: EnvironmentName = field(default=PAPERS_TARGET, metadata=OMIT_DEFAULT)  # whose medium links are thrown into
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class TracksSpec:
 
 def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
     """Divide the throws of every data set into chunks; there are none if no trial needs networks."""
-    media = environments.media_of(settings, "true_slush")
+    media = environments.media_of(settings, settings.target)
     chains = list[Chain[ChunkSpec | TracksSpec]]()
     ensembles, size = settings.ensembles, settings.work.throws_per_item
     for data_set in data_sets(settings):
@@ -83,7 +85,7 @@ def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
         seed = replicate_seed(settings.seed, data_set.replicate)
         for first in range(0, throws.n_throws, size):
             n = min(size, throws.n_throws - first)
-            spec = ChunkSpec(first, n, seed, throws, settings.physics, media)
+            spec = ChunkSpec(first, n, seed, throws, settings.physics, media, settings.target)
             chains.append(Chain(ChunkId(data_set, first), (n,), spec))
     return chains
 
@@ -105,7 +107,7 @@ def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
         return {TRANSITIONS: _encoded(tracked, item.key), TRACK_REPORT: encode_report(report)}
     starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
     starts = starts[spec.first : spec.first + spec.n]
-    medium = environments.true_slush(spec.media, 0.0).medium
+    medium = environments.build_environment(spec.media, spec.target, 0.0, {}).medium
     assert medium is not None  # what the base simulator lacks and the networks learn
     transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
     files = {TRANSITIONS: _encoded(transitions, item.key)}
@@ -175,7 +177,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         n_throws = len(np.unique(transitions.throw))
         lines.append(
             f"{name}{n_throws:,} throws, {len(transitions):,} transitions; "
-            f"{wet.mean():.0%} touch slush, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
+            f"{wet.mean():.0%} touch {settings.target_label}, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
         )
         figures = {"wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet}
         counts = {"n_throws": float(n_throws), "n_transitions": float(len(transitions))}

@@ -19,7 +19,7 @@ def in_trial(curve: Columns) -> str | None:
 
 
 def in_transfer(scores: TrialScores | None, adaptation: Columns | None) -> str | None:
-    """Describe which of a trial's champions and its adaptation's designs diverged in True Slush; None if none did.
+    """Describe which of a trial's champions and its adaptation's designs diverged in the target; None if none did.
 
     A trial without a champion is left to :func:`in_trial`. ``adaptation`` is the curve of the adaptation, if any.
     """
@@ -32,7 +32,7 @@ def in_transfer(scores: TrialScores | None, adaptation: Columns | None) -> str |
         parts.append("not adapted: every design of the adaptation diverged")
     for score, whose in ((scores.zero_shot, "the champion"), (scores.adapted, "the adapted champion")):
         if score is not None and np.isnan(score):
-            parts.append(f"{whose} diverged in True Slush")
+            parts.append(f"{whose} diverged in the target")
     return "; ".join(part for part in parts if part) or None
 
 
@@ -41,11 +41,11 @@ def in_assessment(predictions: Columns) -> str | None:
     diverged = somewhere(predictions)
     if not diverged.any():
         return None
-    return f"{diverged.sum()} of {len(diverged)} designs diverged, in True Slush or under a member"
+    return f"{diverged.sum()} of {len(diverged)} designs diverged, in the target or under a member"
 
 
 def somewhere(predictions: Columns) -> Bools:
-    """Return which assessed designs diverged, in True Slush or under any member: (n_designs,)."""
+    """Return which assessed designs diverged, in the target or under any member: (n_designs,)."""
     finite: Bools = np.isfinite(predictions["true"]) & np.isfinite(predictions["predicted"]).all(axis=1)
     return ~finite
 

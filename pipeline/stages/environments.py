@@ -78,11 +78,6 @@ def ensemble_of(networks: Mapping[NetworkId, Files]) -> EnsembleMedium:
     return Ensemble.from_members(members)
 
 
-def true_slush(media: Media, depth: float) -> Environment:
-    """Build the environment that designs are made for and champions are tested in, ``depth`` in m."""
-    return build_environment(media, "true_slush", depth, {})
-
-
 def network_inputs(networks: Iterable[NetworkId], upstream: Upstream) -> Sources:
     """Return networks as inputs; raise MissingInputs if one is not trained."""
     return {InputName(MEMBER, one): Input(upstream["train"].chain(one)[-1], (WEIGHTS,)) for one in networks}

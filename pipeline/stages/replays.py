@@ -1,4 +1,4 @@
-"""Replays of champions: every one in True Slush, and the best of each arm where it evolved, too."""
+"""Replays of champions: every one in the target, and the best of each arm where it evolved, too."""
 
 from dataclasses import replace
 
@@ -24,20 +24,20 @@ _MOST_SECONDS_IN_TANK = 60.0  # limit on the replays of the tank [s]
 
 
 def replays_of(study: StudyFiles) -> list[Replay]:
-    """Return replays of every champion in True Slush, the best of each arm first, and also where it evolved."""
+    """Return replays of every champion in the target, the best of each arm first, and also where it evolved."""
     replays: list[Replay] = []
     for own in _arms(study):
         best = _best_of(study, own)
-        filmed = {replay.robot for replay in best if replay.in_true_slush}
+        filmed = {replay.robot for replay in best if replay.in_target}
         rest = (one for one in own if np.isfinite(one.zero_shot) and _address(one) not in filmed)
-        others = [_in_true_slush(study, one) for one in sorted(rest, key=lambda one: -one.zero_shot)]
+        others = [_at_target(study, one) for one in sorted(rest, key=lambda one: -one.zero_shot)]
         replays += [*best, *(replay for replay in others if replay)]
     return replays
 
 
 def best_replays(study: StudyFiles) -> list[Replay]:
-    """Return replays in True Slush of the best champion of every arm, for the film of the first screen."""
-    return [replay for own in _arms(study) for replay in _best_of(study, own) if replay.in_true_slush]
+    """Return replays in the target of the best champion of every arm, for the film of the first screen."""
+    return [replay for own in _arms(study) for replay in _best_of(study, own) if replay.in_target]
 
 
 def _arms(study: StudyFiles) -> list[list[Champion]]:
@@ -51,7 +51,7 @@ def _arms(study: StudyFiles) -> list[list[Champion]]:
 def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
     """Return replays of an arm's best champion, with how much the members disagree.
 
-    It is the best zero-shot, or the best where it evolved if none survives True Slush.
+    It is the best zero-shot, or the best where it evolved if none survives the target.
     """
     if environment_kind(own[0].environment).learned and not study.has_networks:
         return []
@@ -59,8 +59,8 @@ def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
     survives = bool(np.isfinite(scored).any())
     best = own[int(np.nanargmax(scored if survives else [champion.fitness for champion in own]))]
     ensemble = study.ensemble(best) if study.networks else None
-    replays = [_in_true_slush(study, best, ensemble)] if survives else []
-    if best.environment != "true_slush":
+    replays = [_at_target(study, best, ensemble)] if survives else []
+    if best.environment != study.target:
         replays.append(_replay(study, best, best.environment, study.home(best), ensemble))
     mean = float(np.nanmean(scored)) if survives else np.nan
     return [replace(replay, best=True, arm_mean=mean) for replay in replays if replay]
@@ -70,8 +70,8 @@ def _address(champion: Champion) -> str:
     return robot_address(champion.environment, champion.depth, champion.trial)
 
 
-def _in_true_slush(study: StudyFiles, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
-    return _replay(study, champion, "true_slush", study.true_slush(champion.depth), ensemble)
+def _at_target(study: StudyFiles, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
+    return _replay(study, champion, study.target, study.at_target(champion.depth), ensemble)
 
 
 def _replay(
@@ -94,9 +94,14 @@ def _replay(
     )
     if replay is None:
         return None
-    group = f"{label}, {champion.depth:g} m"
-    color = looks_of(trial.environment for trial in study.spec.trials)[champion.environment].color
-    return replace(replay, environment=champion.environment, color=color, robot=_address(champion), group=group)
+    return replace(
+        replay,
+        environment=champion.environment,
+        color=looks_of(trial.environment for trial in study.spec.trials)[champion.environment].color,
+        robot=_address(champion),
+        group=f"{label}, {champion.depth:g} m",
+        in_target=seen_in == study.target,
+    )
 
 
 def replay_in(
@@ -132,7 +137,7 @@ def replay_in(
     if ensemble is not None and ensemble.n_members > 1:
         doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
     label = "Residual Slush" if kind.learned else kind.label
-    fills: dict[str, Surroundings] = {"dry_land": "air", "true_slush": "true slush"}
+    other: Surroundings = "air" if environment.components[0].medium is None else "medium"
     return replay_of(
         design,
         trace[0],
@@ -140,7 +145,8 @@ def replay_in(
         environment="",
         seen_in=label if member is None else f"{label} (member {member if number is None else number})",
         depth=environment.depth,
-        surroundings="hallucinated slush" if kind.learned else fills.get(name, "another medium"),
+        surroundings="hallucinated medium" if kind.learned else other,
+        command="residual_slush" if kind.learned else name,
         n_settle=n_settle,
         time_step=physics.time_step,
         disagreement=doubts,
@@ -156,16 +162,17 @@ def median_member(values: Float64) -> int:
 def tank_replays(settings: Settings, champion: Champion, execution: Execution) -> list[Replay]:
     """Return replays of a proposed champion in the tank and on its dry floor, without those that diverged."""
     assert settings.tank is not None
-    tank, simulation = settings.tank, environments.simulation_spec(settings, "true_slush")
+    tank, simulation = settings.tank, environments.simulation_spec(settings, settings.target)
     time_step, evolved = settings.physics.time_step, environment_kind(champion.environment).evolved
     n_measure = min(tank.n_steps(time_step), round(_MOST_SECONDS_IN_TANK / time_step))
     simulation = replace(simulation, rollout=simulation.rollout.model_copy(update={"n_measure": n_measure}))
-    filled, drained = environments.true_slush(simulation.media, tank.simulated_depth), DryLand(depth=0.0)
+    filled = environments.build_environment(simulation.media, settings.target, tank.simulated_depth, {})
     replays = []
-    for name, at, words in (("true_slush", filled, "the tank"), ("dry_land", drained, "the drained tank")):
+    drained = DryLand(depth=0.0)
+    for name, at, words in ((settings.target, filled, "the tank"), ("dry_land", drained, "the drained tank")):
         rollouts = environments.roll_out(simulation, execution, at, champion.design, trace=True)
         title = f"To build: evolved {evolved}, trial {champion.trial}, in {words}"
         replay = replay_in(champion.design, rollouts, name, at, simulation, title=title, ensemble=None)
         if replay is not None:
-            replays.append(replace(replay, seen_in=words, depth=round(at.depth, 2)))
+            replays.append(replace(replay, seen_in=words, depth=round(at.depth, 2), in_target=at is filled))
     return replays

@@ -168,7 +168,7 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
         name = f"{PROPOSED}{champion.environment}-{champion.depth:g}m".replace(".", "_")  # one dot in a file name
         files[f"{name}.json"] = encode_json(design_document(champion.design))
     for one in page.replays:
-        if one.in_true_slush and one.robot:
+        if one.in_target and one.robot:
             words = f"{one.seen_in}, {one.depth:g} m deep: {one.displacement:z.1f} m in {one.duration:.0f} s"
             files[f"{one.robot}.html"] = render_robot(one, [typeset(words)]).encode()
     for drawing in drawings.values():

@@ -46,7 +46,7 @@ class TrialSpec:
 
     identity: TrialId
     seed: int
-    environment: EnvironmentName  # where designs are simulated: its own, or True Slush for an adaptation
+    environment: EnvironmentName  # where designs are simulated: its own, or the target for an adaptation
     simulation: SimulationSpec
     afpo: Afpo
     morphology: Morphology

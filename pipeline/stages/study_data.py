@@ -1,7 +1,7 @@
 """What analyses and the page read of a study: scores, champions, networks, throws and predictions, out of files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from numpy.random import Generator
@@ -23,7 +23,7 @@ from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
-from pipeline.workflow.identity import InputName, TrialId, arms_of
+from pipeline.workflow.identity import OMIT_DEFAULT, InputName, TrialId, arms_of
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.analysis.registry import AnalysisSettings, Assessed, Champion
 from tasks.analysis.scores import ScoredTrial
@@ -31,7 +31,8 @@ from tasks.design import Designs
 from tasks.residual import Learner
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
-from tasks.world import EnsembleMedium, Environment, Physics, environment_kind
+from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, Slush, environment_kind
+from tasks.world.slush import PAPERS_TARGET
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class DataSpec:
     trials: tuple[TrialId, ...]
     simulation: SimulationSpec
     settings: AnalysisSettings
+    target: EnvironmentName = field(default=PAPERS_TARGET, metadata=OMIT_DEFAULT)
 
 
 def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
@@ -49,7 +51,7 @@ def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
     return DataSpec(
         settings.seed,
         tuple(trials),
-        environments.simulation_spec(settings, "true_slush", *(arm.environment for arm in arms_of(trials))),
+        environments.simulation_spec(settings, settings.target, *(arm.environment for arm in arms_of(trials))),
         AnalysisSettings(
             settings.assessed_depth,
             settings.arm_learners,
@@ -58,6 +60,7 @@ def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
             settings.physics,
             settings.rollout.n_settle,
         ),
+        settings.target,
     )
 
 
@@ -138,8 +141,17 @@ class StudyFiles:
         replicate = table["trial"] % self.spec.trials[0].n_replicates
         return Assessed(table["predicted"].T, table["true"], trial, replicate)
 
-    def true_slush(self, depth: float) -> Environment:
-        return environments.true_slush(self.spec.simulation.media, depth)
+    @property
+    def target(self) -> EnvironmentName:
+        return self.spec.target
+
+    @property
+    def has_papers_target(self) -> bool:
+        slush = self.spec.simulation.media.get("slush")
+        return self.target == PAPERS_TARGET and isinstance(slush, Slush) and slush.is_papers
+
+    def at_target(self, depth: float) -> Environment:
+        return environments.build_environment(self.spec.simulation.media, self.target, depth, {})
 
     def home(self, champion: Champion) -> Environment:
         """Return where a champion evolved."""

@@ -1,8 +1,8 @@
-"""transfer: how champions do in the true slush, where they have never been. Paper, "Evolution" and Fig. 4.
+"""transfer: how champions do in the target, where they have never been. Paper, "Evolution" and Fig. 4.
 
 The champion of every trial is scored where it evolved (predicted: the mean over the members of an ensemble) and
-zero-shot in True Slush at its own depth. Then its body is frozen and its controller is evolved from scratch in True
-Slush: the gap that remains is the body's fault.
+zero-shot in the target at its own depth. Then its body is frozen and its controller is evolved from scratch in the
+target: the gap that remains is the body's fault.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ CHAMPION, ADAPTED = "champion.json", "adapted.json"
 
 @dataclass(frozen=True)
 class ScoreSpec:
-    """The scores of a trial's champion where it evolved, and in True Slush before and after its adaptation."""
+    """The scores of a trial's champion where it evolved, and in the target before and after its adaptation."""
 
     trial: TrialSpec
     home: SimulationSpec  # of the environment where it evolved
@@ -68,7 +68,7 @@ def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
     for trial in trials_of(settings, "transfer"):
         adapted = settings.is_adapted(trial.environment)
         adaptation = segments.segment_lengths(settings, settings.transfer.n_generations) if adapted else ()
-        spec = segments.trial_spec(settings, trial, "true_slush")
+        spec = segments.trial_spec(settings, trial, settings.target)
         chains.append(segments.trial_chain(settings, spec, (*adaptation, _SCORING_UNITS)))
     return chains
 
@@ -91,7 +91,7 @@ def _item(
         inputs |= environments.network_inputs(networks, upstream)
         if previous is not None:
             inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
-    execution = environments.execution_options(settings, "true_slush")
+    execution = environments.execution_options(settings, settings.target)
     return Item(TRANSFER.name, TRANSFER.version, label, spec, inputs, execution)
 
 
@@ -122,7 +122,7 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, networks)
     by_member = np.atleast_2d(environments.roll_out(home, execution, at_home, champion).displacement)[:, 0]
     has_sd = at_home.is_ensemble and len(by_member) > 1
-    zero_shot, zero_shot_com = _in_true_slush(trial, execution, champion)
+    zero_shot, zero_shot_com = _at_target(trial, execution, champion)
     scores = TrialScores(
         fitness=float(evolved.fitness[evolved.champion()]),
         predicted=float(by_member.mean()),
@@ -134,15 +134,15 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
             files[ADAPTED] = encode_json(design_document(adapted))
-            root, whole = _in_true_slush(trial, execution, adapted)
+            root, whole = _at_target(trial, execution, adapted)
             scores = replace(scores, adapted=root, adapted_com=whole)
     return {**files, SCORE: encode_scores(scores)}
 
 
-def _in_true_slush(trial: TrialSpec, execution: Execution, design: Designs) -> tuple[float, float]:
+def _at_target(trial: TrialSpec, execution: Execution, design: Designs) -> tuple[float, float]:
     """Return the displacement of a design's root and centre of mass [m]; NaN where it diverged.
 
-    The trial is an adaptation, so that its environment is True Slush.
+    The trial is an adaptation, so that its environment is the target.
     """
     rollouts = environments.roll_out(trial.simulation, execution, trial.at_home({}), design)
     root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
@@ -160,8 +160,8 @@ def _read_scores(store: Store, trial: ChainId, scored: Manifest) -> TrialScores 
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Tabulate champions in True Slush by depth and environment."""
-    rows = transfer_rows(read_trials(settings, results, store))
+    """Tabulate champions in the target by depth and environment."""
+    rows = transfer_rows(read_trials(settings, results, store), settings.target)
     metrics = {
         f"{quantity}.{row.environment}.{row.depth:g}m": mean.value
         for row in rows

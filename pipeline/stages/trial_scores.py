@@ -17,13 +17,13 @@ OK_STATUS = "ok"  # status of a trial with a champion
 
 @dataclass(frozen=True)
 class TrialScores:
-    """How far a trial's champion gets where it evolved and in True Slush [m]; NaN where its rollout diverged."""
+    """How far a trial's champion gets where it evolved and in the target [m]; NaN where its rollout diverged."""
 
     fitness: float  # where it evolved, in the objective's unit: μ - kσ for an ensemble
     predicted: float  # displacement of its root where it evolved: the mean over members for an ensemble, μ
     predicted_sd: float | None  # its standard deviation over members, σ; None without an ensemble
-    zero_shot: float  # displacement of its root in True Slush
-    zero_shot_com: float  # displacement of its centre of mass in True Slush
+    zero_shot: float  # displacement of its root in the target
+    zero_shot_com: float  # displacement of its centre of mass in the target
     adapted: float | None = None  # of its root with a controller that evolved there; None if not adapted
     adapted_com: float | None = None  # displacement of its centre of mass, likewise
 

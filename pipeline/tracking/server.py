@@ -22,7 +22,7 @@ from pipeline.tracking.database import (
 
 _VIEW = "puddle"  # name of the shared view that the list of studies opens with
 _STUDIES = "tags.`puddle.kind` = 'study'"
-_HEADLINE, _MOST_HEADLINES = "ratio_to_true_slush.zero_shot.", 4  # more would push the presets off the screen
+_HEADLINE, _MOST_HEADLINES = "ratio_to_target.zero_shot.", 4  # more would push the presets off the screen
 
 
 def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None = None) -> None:

@@ -173,7 +173,7 @@ def _simulated(robot: BuiltRobot, seconds: float, links: Sequence[int]) -> Stead
         robot.design, robot.environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=robot.physics
     )
     if rollouts.trace is None or not (rollouts.status == OK).all():
-        raise RunError("its simulation in True Slush diverged, so there is nothing to compare with")
+        raise RunError("its simulation diverged, so there is nothing to compare with")
     trace = rollouts.trace[0, n_settle:].astype(np.float64)
     angle = trace[:, links, Column.ANGLE] - trace[:, :1, Column.ANGLE]
     time = np.asarray(step * np.arange(n_steps), dtype=np.float64)

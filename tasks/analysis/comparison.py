@@ -21,7 +21,8 @@ import scipy
 from tasks.analysis.estimates import Estimate, Mean, Sample, error_of, mean_of, sum_of_means
 from tasks.analysis.paper import NEGLIGIBLE
 from tasks.analysis.registry import column
-from tasks.analysis.scores import BEST, QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
+from tasks.analysis.scores import QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
+from tasks.world import EnvironmentName
 
 Verdict = Literal["agrees", "differs", "cannot tell"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -64,7 +65,10 @@ class Comparison:
 
 
 def compare(
-    a: Sequence[ScoredTrial], b: Sequence[ScoredTrial], pairs: Sequence[tuple[ScoredArm, ScoredArm]]
+    a: Sequence[ScoredTrial],
+    b: Sequence[ScoredTrial],
+    pairs: Sequence[tuple[ScoredArm, ScoredArm]],
+    target: EnvironmentName,
 ) -> list[Comparison]:
     """Compare arms of one study, or of two, at every depth where both have champions, the greatest depth first.
 
@@ -72,10 +76,11 @@ def compare(
         a: the trials of A.
         b: the trials of B, the reference; the same for arms of one study.
         pairs: an arm of A and one of B each.
+        target: the environment that champions are transferred to; a share of what its designs travel is negligible.
     """
     depths = sorted({one.depth for one in a} & {one.depth for one in b}, reverse=True)
     rows = [
-        _compared(x, y, of_a, of_b, depth, sample(b, BEST, depth))
+        _compared(x, y, of_a, of_b, depth, sample(b, (target, "zero_shot"), depth))
         for depth in depths
         for of_a, of_b in pairs
         if len(x := sample(a, of_a, depth)) and len(y := sample(b, of_b, depth))

@@ -92,12 +92,12 @@ class Champion:
     design: Designs
     fitness: float  # where it evolved, in the objective's unit
     predicted: float  # displacement where it evolved: for an ensemble the mean over members
-    zero_shot: float  # displacement in True Slush
+    zero_shot: float  # displacement in the target
 
 
 @dataclass(frozen=True, eq=False)
 class Assessed:
-    """Designs drawn from whole runs, simulated in True Slush and under every member of an ensemble."""
+    """Designs drawn from whole runs, simulated in the target and under every member of an ensemble."""
 
     predicted: Float64  # (n_members, n_designs) [m]; NaN where diverged
     true: Float64  # (n_designs,) [m]; NaN where diverged
@@ -140,8 +140,16 @@ class StudyData(Protocol):
     def assessed(self, data_set: str) -> Assessed | None:
         """Return the designs that the ensemble of a data set was assessed with, if any."""
 
-    def true_slush(self, depth: float) -> Environment:
-        """Return True Slush at a depth [m]."""
+    @property
+    def target(self) -> EnvironmentName:
+        """The environment that champions are transferred to."""
+
+    @property
+    def has_papers_target(self) -> bool:
+        """Whether displacements are comparable with the paper's."""
+
+    def at_target(self, depth: float) -> Environment:
+        """Return the target at a depth [m]."""
 
     def ensemble(self, champion: Champion | None = None) -> EnsembleMedium:
         """Return the ensemble that serves a champion, by default the main one; the same object for all it serves."""

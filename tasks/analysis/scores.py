@@ -12,19 +12,16 @@ from tasks.analysis.registry import OfTrial, column
 from tasks.world import EnvironmentName, environment_kind, in_order
 
 Quantity = Literal["predicted", "zero_shot", "adapted"]
-"""Displacement where a champion evolved; in True Slush; in True Slush with a controller that evolved there."""
+"""Displacement where a champion evolved; in the target; in the target with a controller that evolved there."""
 QUANTITIES: Mapping[Quantity, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}
 """Quantities as they are shown, in their usual order."""
 
 ScoredArm = tuple[EnvironmentName, Quantity]  # champions of one environment, zero-shot or adapted
 
-BEST: ScoredArm = ("true_slush", "zero_shot")  # designs that evolved in True Slush, E: the paper's upper bound
-
 
 def arm_name(arm: ScoredArm) -> str:
-    """Return an arm's label; zero-shot designs of True Slush are at home there, so 'zero-shot' is left out."""
-    label = environment_kind(arm[0]).label
-    return label if arm == BEST else f"{label} {QUANTITIES[arm[1]]}"
+    """Return an arm's label and its quantity."""
+    return f"{environment_kind(arm[0]).label} {QUANTITIES[arm[1]]}"
 
 
 @dataclass(frozen=True)
@@ -39,9 +36,9 @@ class ScoredTrial(OfTrial):
     predicted_sd: float = column(
         "σ", "m", default=math.nan, meaning="Standard deviation over the members of an ensemble."
     )
-    zero_shot: float = column("zero-shot", "m", default=math.nan, meaning="Displacement of the root in True Slush.")
+    zero_shot: float = column("zero-shot", "m", default=math.nan, meaning="Displacement of the root in the target.")
     zero_shot_com: float = column("zero-shot CoM", "m", default=math.nan, shown=False, meaning="Of the centre of mass.")
-    adapted: float = column("adapted", "m", default=math.nan, meaning="With a controller that evolved in True Slush.")
+    adapted: float = column("adapted", "m", default=math.nan, meaning="With a controller that evolved in the target.")
     adapted_com: float = column("adapted CoM", "m", default=math.nan, shown=False, meaning="Of the centre of mass.")
     status: Literal["ok", "no champion", "not done"] = column(
         "status", form="{}", default="not done", meaning="ok, no champion (every design diverged), or not done."

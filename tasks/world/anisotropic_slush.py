@@ -9,10 +9,9 @@ of it.
 from pydantic import Field
 
 from tasks.parameters import Parameters
-from tasks.world.environment import Pool
 from tasks.world.medium import LinkStates, VelocityChange
 from tasks.world.physics import Physics
-from tasks.world.registry import EnvironmentKind, register
+from tasks.world.registry import register_medium
 from tasks.world.slush import after_drag, submerged_part
 
 
@@ -51,15 +50,10 @@ class AnisotropicSlush(Parameters):
         )
 
 
-register(
-    EnvironmentKind(
-        name="anisotropic_slush",
-        build=Pool,
-        settings_group="anisotropic_slush",
-        settings=AnisotropicSlush,
-        label="Anisotropic Slush",
-        symbol="Eₐ",
-        evolved="in Anisotropic Slush",
-        about="Slush with different drag along and across a link.",
-    )
+register_medium(
+    "anisotropic_slush",
+    AnisotropicSlush,
+    "Anisotropic Slush",
+    symbol="Eₐ",
+    about="Slush with different drag along and across a link.",
 )

@@ -15,7 +15,7 @@ register(
         label="Dry Land",
         symbol="E′",
         evolved="on Dry Land",
-        about="The simulator without slush: the same ground, surrounded by air.",
+        about="The simulator without a medium: the same ground, surrounded by air.",
         order=2,
     )
 )

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 from pydantic import Field
 
-from tasks.world.environment import Pool
 from tasks.world.medium import LinkStates, VelocityChange
 from tasks.world.physics import Physics
-from tasks.world.registry import EnvironmentKind, register
+from tasks.world.registry import register_medium
 from tasks.world.slush import Slush
 
 
@@ -25,15 +24,4 @@ class FlowingSlush(Slush):
         return super().velocity_change(replace(links, vx=links.vx - self.current), physics)
 
 
-register(
-    EnvironmentKind(
-        name="flowing_slush",
-        build=Pool,
-        settings_group="flowing_slush",
-        settings=FlowingSlush,
-        label="Flowing Slush",
-        symbol="E⃗",
-        evolved="in Flowing Slush",
-        about="Slush that flows steadily along x.",
-    )
-)
+register_medium("flowing_slush", FlowingSlush, "Flowing Slush", symbol="E⃗", about="Slush that flows steadily along x.")

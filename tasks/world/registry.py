@@ -1,8 +1,7 @@
 """The registry of environments: names, media, settings groups and how each is drawn.
 
 To add a medium, write one file in ``tasks/world``, as docs/extending.md shows; the package imports every module that it
-contains. The true medium is the one that the registration of ``true_slush`` names: networks learn it, and champions are
-transferred to it. A study's own learners are not registered: :func:`tasks.world.environment_kind` names them.
+contains. A study's own learners are not registered: :func:`tasks.world.environment_kind` names them.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from tasks.parameters import Parameters
-from tasks.world.environment import Environment
+from tasks.world.environment import Environment, Pool
 from tasks.world.medium import EnsembleMedium
 
 
@@ -35,6 +34,11 @@ class EnvironmentKind:
     def is_ensemble(self) -> bool:
         """Whether rollouts have an axis of members."""
         return self.build.is_ensemble
+
+    @property
+    def has_one_medium(self) -> bool:
+        """Whether it has a medium that networks can learn and champions can be transferred to."""
+        return not self.is_ensemble and self.build.medium is not Environment.medium
 
     def environment(
         self, depth: float, settings: Mapping[str, Any], ensemble: EnsembleMedium | None = None
@@ -77,6 +81,30 @@ def register(kind: EnvironmentKind) -> None:
     kinds = sorted((*_registered.values(), kind), key=lambda kind: (kind.order, kind.name))
     _registered.clear()
     _registered.update({kind.name: kind for kind in kinds})
+
+
+def register_medium(name: str, medium: type[Parameters], label: str, *, symbol: str = "", about: str = "") -> None:
+    """Add the environment of one medium, whose settings are a group with its name.
+
+    Args:
+        name: name in settings, tables and files.
+        medium: class of the medium, whose fields are its settings.
+        label: name for readers.
+        symbol: symbol in tables; by default the first letter of the label.
+        about: what it is, in a sentence, for a page.
+    """
+    register(
+        EnvironmentKind(
+            name=name,
+            build=Pool,
+            settings_group=name,
+            settings=medium,
+            label=label,
+            symbol=symbol or label[0],
+            evolved=f"in {label}",
+            about=about,
+        )
+    )
 
 
 def settings_groups() -> dict[str, type[Parameters]]:

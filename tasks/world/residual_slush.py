@@ -41,7 +41,7 @@ register(
         symbol="Ê",
         evolved="in Residual Slush",
         about="Dry Land with an ensemble of small neural networks. They learned the residual, which is the difference "
-        "between True Slush and Dry Land, from links thrown into True Slush. Fitness is the mean over the members "
+        "between the target and Dry Land, from links thrown into the target. Fitness is the mean over the members "
         "minus their disagreement, so that a robot has to do well under all of them.",
         order=3,
     )

@@ -22,6 +22,7 @@ from tasks.world.medium import LinkStates, Medium, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
 
+PAPERS_TARGET = "true_slush"  # the environment that champions are transferred to, unless the settings say otherwise
 TINY = 1e-30  # replaces the rise of a level edge, whose submerged share is a step function of depth
 
 
@@ -95,6 +96,11 @@ class Slush(DragLaw):
     angular_drag: float = Field(default=20.0, ge=0.0, le=1e4)
     """C_dr. [P]"""
 
+    @property
+    def is_papers(self) -> bool:
+        """Whether the parameters are the paper's, however its drag law is read."""
+        return self == Slush(drag=self.drag)
+
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Compute the change by drag and then buoyancy over one step.
 
@@ -118,7 +124,7 @@ class Slush(DragLaw):
 
 @dataclass(frozen=True)
 class TrueSlush(Environment):
-    """E: Dry Land filled with slush below y = 0, the environment that designs are made for."""
+    """E: Dry Land filled with slush below y = 0."""
 
     slush: Slush = field(default_factory=Slush)
 
@@ -130,15 +136,14 @@ class TrueSlush(Environment):
 
 register(
     EnvironmentKind(
-        name="true_slush",
+        name=PAPERS_TARGET,
         build=TrueSlush,
         settings_group="slush",
         settings=Slush,
         label="True Slush",
         symbol="E",
         evolved="in True Slush",
-        about="The target environment: hard ground under slush of some depth. Robots that evolve here are the "
-        "reference for all others.",
+        about="Hard ground under slush of some depth.",
         order=1,
     )
 )

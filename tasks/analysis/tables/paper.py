@@ -37,9 +37,9 @@ from tasks.analysis.estimates import (
     sum_of_means,
     within_replicates,
 )
-from tasks.analysis.paper import DEPTH, N_ASSESSED, N_TRIALS, Figure
+from tasks.analysis.paper import BEST, DEPTH, N_ASSESSED, N_TRIALS, Figure
 from tasks.analysis.registry import StudyData, analysis, column
-from tasks.analysis.scores import BEST, ScoredTrial, arm_name, sample
+from tasks.analysis.scores import ScoredArm, ScoredTrial, arm_name, sample
 from tasks.analysis.tables.regressions import Accuracy, accuracy_of
 
 _FIGURE: Mapping[Figure, str] = {"r": "Pearson's R", "slope": "slope"}
@@ -92,9 +92,14 @@ def paper(study: StudyData) -> list[PaperRow]:
     return [*numbers, *(_figures(accuracy) if accuracy else ()), *_statements(trials)]
 
 
+def _name(arm: ScoredArm) -> str:
+    """Name an arm; zero-shot designs of True Slush are at home there."""
+    return "True Slush" if arm == BEST else arm_name(arm)
+
+
 def _means(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     for arm, (value, source) in stated.MEANS.items():
-        own, what = sample(trials, arm, DEPTH), f"{arm_name(arm)} at {DEPTH:g} m [m]"
+        own, what = sample(trials, arm, DEPTH), f"{_name(arm)} at {DEPTH:g} m [m]"
         found, bound = sum_of_means(own), stated.NEGLIGIBLE * stated.MEANS[BEST][0]
         yield from _number(what, value, "{:z.1f}", source, found, bound, _widened(own) if found.interval else 1.0)
 
@@ -102,7 +107,7 @@ def _means(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
 def _ratios(trials: Sequence[ScoredTrial], rng: Generator) -> Iterator[PaperRow]:
     for arm, (value, source) in stated.RATIOS.items():
         part, whole = sample(trials, arm, DEPTH), sample(trials, BEST, DEPTH)
-        found, what = ratio(part, whole, rng=rng), f"{arm_name(arm)} / {arm_name(BEST)} at {DEPTH:g} m"
+        found, what = ratio(part, whole, rng=rng), f"{_name(arm)} / {_name(BEST)} at {DEPTH:g} m"
         wider = _widened(*linearised(part, whole)) if found.interval else 1.0
         yield from _number(what, value, "{:z.0%}", source, found, stated.NEGLIGIBLE_RATIO, wider)
 
@@ -168,7 +173,7 @@ def _statements(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     found = [
         (statement, row)
         for statement in stated.STATEMENTS
-        for row in reversed(compare(trials, trials, [(statement.a, statement.b)]))
+        for row in reversed(compare(trials, trials, [(statement.a, statement.b)], BEST[0]))
         if row.depth in statement.depths and row.p is not None
     ]
     for (statement, row), p in zip(found, holm([row.p for _, row in found]), strict=True):
@@ -180,7 +185,7 @@ def _statements(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
                 verdict = "agrees" if ((row.difference.value or 0.0) > 0) == (claim == "greater") else "differs"
             else:
                 verdict = "differs" if verdict == "agrees" else "cannot tell"  # it is negligible
-        what = f"{arm_name(statement.a)} against {arm_name(statement.b)} at {row.depth:g} m [m]"
+        what = f"{_name(statement.a)} against {_name(statement.b)} at {row.depth:g} m [m]"
         decides = f"Δ {written(row.difference, '{:z.1f}')}, negligible within ± {row.bound:.1f}"
         this_run, paper = f"n = {row.of_a.n} and {row.of_b.n}, p = {p:.2g}", f"{claim} (p {limit})"
         yield PaperRow("t test", what, paper, this_run, decides, verdict, row.difference, p, statement.source)

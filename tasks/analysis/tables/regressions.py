@@ -1,6 +1,6 @@
 """Accuracy of the ensembles. Paper, "Prediction Accuracy" and Fig. 3.
 
-Displacement in True Slush is regressed on the prediction of each member, on their mean μ, and on μ - σ. A slope below 1
+Displacement in the target is regressed on the prediction of each member, on their mean μ, and on μ - σ. A slope below 1
 means that predictions are too optimistic, a low R that they rank designs badly. Designs of one trial descend from each
 other, so the intervals come from resampling whole trials. Trials of several replicates are predicted by different
 ensembles; their intervals are by pseudo-values, those of R on Fisher's scale, where R is nearly normal.

@@ -33,7 +33,7 @@ class TankRow(OfTrial):
     """A champion in the virtual tank."""
 
     proposed: bool = column("to build", form=lambda chosen: "✓" if chosen else "", meaning="Nearest to the mean.")
-    zero_shot: float | None = column("True Slush", "m", meaning="Displacement of its root, at its own depth.")
+    zero_shot: float | None = column("zero-shot", "m", meaning="Displacement in the target, at its own depth.")
     dry_land: float | None = column("Dry Land", "m", meaning="The same on Dry Land, for as long.")
     length_cm: float | None = column("length", "cm", form="{:.0f}", meaning="As built, settled in the filled tank.")
     height_cm: float | None = column("height", "cm", form="{:.0f}")
@@ -75,7 +75,7 @@ def tank(study: StudyData) -> list[TankRow]:
     designs = concatenate([champion.design for champion in champions])
     on_land = study.simulate(DryLand(depth=champions[0].depth), designs).displacement
     with_servo = physics.model_copy(update={"max_motor_torque": tank.simulated_servo_torque(physics.link_density)})
-    filled, drained = study.true_slush(tank.simulated_depth), DryLand(depth=0.0)
+    filled, drained = study.at_target(tank.simulated_depth), DryLand(depth=0.0)
     tests: tuple[tuple[Environment, Physics], ...] = ((filled, physics), (drained, physics), (drained, with_servo))
     rows = []
     for i, champion in enumerate(champions):

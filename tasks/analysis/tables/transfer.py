@@ -1,4 +1,4 @@
-"""How far champions get in True Slush: a row per trial, and a row per arm. Paper, "Evolution" and Fig. 4."""
+"""How far champions get in the target: a row per trial, and a row per arm. Paper, "Evolution" and Fig. 4."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ import numpy as np
 from tasks.analysis import paper
 from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
 from tasks.analysis.registry import OfArm, StudyData, analysis, column, percent
-from tasks.analysis.scores import BEST, ScoredTrial, arms
+from tasks.analysis.scores import ScoredTrial, arms
+from tasks.world import EnvironmentName
 
 
 @analysis("scores", row=ScoredTrial, reads=("transfer",), answers="How far does the champion of each trial get?")
@@ -25,13 +26,15 @@ class TransferRow(OfArm):
     predicted: Mean = column("predicted", "m", meaning="Where it evolved: for an ensemble the mean μ over its members.")
     sigma: float | None = column("σ", "m", meaning="Mean deviation over the members of an ensemble.")
     fitness: float | None = column("μ − kσ", meaning="Mean of what evolution maximised, for an ensemble.")
-    zero_shot: Mean = column("zero-shot", "m", meaning="Displacement of the root in True Slush, as it is.")
+    zero_shot: Mean = column("zero-shot", "m", meaning="Displacement of the root in the target, as it is.")
     zero_shot_com: Mean = column("zero-shot CoM", "m", shown=False, meaning="Of the centre of mass.")
-    zero_shot_share: float | None = column("of E", form=percent, meaning="Share of designs evolved in True Slush.")
-    adapted: Mean = column("adapted", "m", meaning="With a controller that evolved in True Slush.")
+    zero_shot_share: float | None = column(
+        "of best", form=percent, meaning="Share of the zero-shot displacement of designs evolved in the target."
+    )
+    adapted: Mean = column("adapted", "m", meaning="With a controller that evolved in the target.")
     adapted_com: Mean = column("adapted CoM", "m", shown=False, meaning="Of the centre of mass.")
-    adapted_share: float | None = column("of E", form=percent)
-    adapted_share_of_adapted: float | None = column("of E adapted", form=percent, meaning="Both had a second search.")
+    adapted_share: float | None = column("of best", form=percent)
+    adapted_share_of_adapted: float | None = column("of best adapted", form=percent, meaning="Both searched twice.")
     paper_zero_shot: float | None = column("paper", "m", meaning="The paper's mean over 10 trials, zero-shot.")
     paper_adapted: float | None = column("paper, adapted", "m", meaning="The same, adapted.")
 
@@ -40,8 +43,8 @@ TOO_WIDE = ("n", "sigma", "fitness", "adapted_share_of_adapted", "paper_zero_sho
 """Columns without which the table fits a terminal."""
 
 
-def transfer_rows(trials: Sequence[ScoredTrial]) -> list[TransferRow]:
-    """Average the trials of each arm, the greatest depth first."""
+def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, papers: bool = False) -> list[TransferRow]:
+    """Average the trials of each arm, the greatest depth first; the paper's means are beside them if asked for."""
     by_arm = {arm: [one for one in trials if (one.environment, one.depth) == arm] for arm in arms(trials)}
     means = {
         arm: {name: mean_of(np.array([getattr(one, name) for one in own])) for name in _AVERAGED}
@@ -49,7 +52,7 @@ def transfer_rows(trials: Sequence[ScoredTrial]) -> list[TransferRow]:
     }
     rows = []
     for (environment, depth), of_arm in means.items():
-        best = means.get((BEST[0], depth), {})
+        best = means.get((target, depth), {})
         is_ensemble = of_arm["predicted_sd"].value is not None
         rows.append(
             TransferRow(
@@ -66,8 +69,8 @@ def transfer_rows(trials: Sequence[ScoredTrial]) -> list[TransferRow]:
                 of_arm["adapted_com"],
                 _share(of_arm["adapted"], best.get("zero_shot")),
                 _share(of_arm["adapted"], best.get("adapted")),
-                papers_mean(environment, "zero_shot", depth),
-                papers_mean(environment, "adapted", depth),
+                papers_mean(environment, "zero_shot", depth) if papers else None,
+                papers_mean(environment, "adapted", depth) if papers else None,
             )
         )
     return rows
@@ -87,16 +90,16 @@ def papers_mean(environment: str, quantity: str, depth: float) -> float | None:
     if depth != paper.DEPTH:
         return None
     means: dict[tuple[str, str], float] = {arm: mean for arm, (mean, _) in paper.MEANS.items()}
-    means = {arm: share * means[BEST] for arm, (share, _) in paper.RATIOS.items()} | means
+    means = {arm: share * means[paper.BEST] for arm, (share, _) in paper.RATIOS.items()} | means
     return means.get((environment, quantity))
 
 
 def _metrics(rows: Sequence[TransferRow]) -> dict[str, float | None]:
     return {
-        f"ratio_to_true_slush.{quantity}.{row.environment}.{row.depth:g}m": getattr(row, f"{quantity}_share")
+        f"ratio_to_target.{quantity}.{row.environment}.{row.depth:g}m": getattr(row, f"{quantity}_share")
         for row in rows
         for quantity in ("zero_shot", "adapted")
-        if row.environment != BEST[0]
+        if row.zero_shot_share != 1  # of the target itself
     }
 
 
@@ -104,10 +107,10 @@ def _metrics(rows: Sequence[TransferRow]) -> dict[str, float | None]:
     "transfer",
     row=TransferRow,
     reads=("transfer",),
-    answers="How far do champions get in True Slush, by where they evolved?",
+    answers="How far do champions get in the target, by where they evolved?",
     section="transfer",
     metrics=_metrics,
 )
 def transfer(study: StudyData) -> list[TransferRow]:
     """Average the trials of each arm."""
-    return transfer_rows(study.trials)
+    return transfer_rows(study.trials, study.target, papers=study.has_papers_target)

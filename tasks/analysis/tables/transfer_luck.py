@@ -1,7 +1,7 @@
 """Winner's luck: every champion again, from starts that differ by a millimetre and a milliradian.
 
-A rollout repeats itself exactly. A champion of True Slush is the best of all scores of one start, so its score has luck
-in it that the next start has not, whereas True Slush is new to the champions of every other environment.
+A rollout repeats itself exactly. A champion of the target is the best of all scores of one start, so its score has luck
+in it that the next start has not, whereas the target is new to the champions of every other environment.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import numpy as np
 
 from tasks.analysis.estimates import Estimate, Mean, Sample, mean_of, ratio, sample_of, sum_of_means
 from tasks.analysis.registry import Champion, OfArm, StudyData, analysis, column, percent
-from tasks.analysis.scores import BEST, arms
+from tasks.analysis.scores import arms
 from tasks.arrays import Float64
 from tasks.design import Designs, concatenate, jittered
 
@@ -27,14 +27,14 @@ class LuckRow(OfArm):
     one: Mean = column("one start", "m", meaning="Zero-shot, as in every other table.")
     again: Mean = column(f"{N_STARTS} starts", "m", meaning="Mean over starts that differ by 1 mm and 1 mrad a joint.")
     luck: Estimate = column("luck", "m", form="{:z.2f}", meaning="One start minus the mean over many.")
-    share: Estimate = column("of E", form=percent, meaning=f"{N_STARTS} starts of either.")
+    share: Estimate = column("of best", form=percent, meaning=f"{N_STARTS} starts of either.")
 
 
 @analysis(
     "luck",
     row=LuckRow,
     reads=("transfer",),
-    answers="How much of a score in True Slush is luck: from one start, and over starts that are a millimetre off?",
+    answers="How much of a score in the target is luck: from one start, and over starts that are a millimetre off?",
     section="transfer",
     cost=N_STARTS,
 )
@@ -53,7 +53,7 @@ def luck(study: StudyData) -> list[LuckRow]:
         lost = share = Estimate(None)
         if len(again):
             lost = sum_of_means(Sample(first.values - again.values, first.replicate))
-            if best := scored.get((BEST[0], arm[1])):
+            if best := scored.get((study.target, arm[1])):
                 share = ratio(again, best[1], rng=study.rng("luck", *arm))
         rows.append(LuckRow(*arm, len(again), mean_of(first.values), mean_of(again.values), lost, share))
     return rows
@@ -64,7 +64,7 @@ def scored_again(study: StudyData, champions: Sequence[Champion]) -> Float64:
     if not champions:
         return np.empty(0)
     starts = concatenate([moved_joints(study, champion) for champion in champions])
-    displacement = study.simulate(study.true_slush(champions[0].depth), starts).displacement
+    displacement = study.simulate(study.at_target(champions[0].depth), starts).displacement
     means: Float64 = displacement.reshape(len(champions), N_STARTS).mean(axis=1)
     return means
 

@@ -63,6 +63,13 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
             "learners.a, with the study's groups: design is",
         ),
         (["learners.a.throws.source=tracks"], "learners.a.throws.source is tracks, but throws.source is not"),
+        (["target=honey"], "target: expected an environment of one medium, any of true_slush, anisotropic_slush"),
+        (["target=dry_land"], "target: expected an environment of one medium"),
+        (["target=residual_slush"], "target: expected an environment of one medium"),
+        (["target=randomised_slush"], "target: expected an environment of one medium"),
+        (["target=fifty"], "target: expected an environment of one medium"),
+        (["target=3"], "target: expected text"),
+        (["target=flowing_slush", "slush.density=2"], "neither target nor grid.environments has true_slush"),
         (["grid.environments=[fifty]"], "grid.environments: expected any of true_slush"),
         (["transfer.adapted_environments=[mud]"], "transfer.adapted_environments: expected any of true_slush"),
     ],
@@ -71,3 +78,14 @@ def test_a_mistake_is_named(overrides, said):
     with pytest.raises(PuddleError) as refused:
         parse(Settings, "name: mine", name="mine.yaml", overrides=overrides)
     assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_designs_evolve_in_the_target_unless_arms_are_stated():
+    """The default target is left out of keys, and settings of the slush are accepted where an arm uses it."""
+    flowing = parse(Settings, "", name="mine", overrides=["target=flowing_slush"])
+    assert flowing.grid.environments == ("flowing_slush", "dry_land", "residual_slush")
+    assert Settings.model_validate(flowing.model_dump(mode="json")) == flowing and not flowing.has_papers_target
+    assert "target" not in Settings().model_dump(mode="json") and Settings().has_papers_target
+    arms = ["target=flowing_slush", "slush.density=2", "grid.environments=[true_slush]"]
+    assert parse(Settings, "", name="mine", overrides=arms).grid.environments == ("true_slush",)
+    assert not parse(Settings, "", name="mine", overrides=["slush.density=2"]).has_papers_target

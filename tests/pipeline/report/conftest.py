@@ -34,16 +34,18 @@ def rollout():
 @pytest.fixture(scope="session")
 def slush_replay(rollout) -> Replay:
     design, trace, _ = rollout
-    return replay_of(
+    seen = replay_of(
         design,
         trace,
         title="With residuals",
         environment="residual_slush",
         seen_in="True Slush",
         depth=2.0,
-        surroundings="true slush",
+        surroundings="medium",
+        command="true_slush",
         n_settle=N_SETTLE,
     )
+    return replace(seen, in_target=True)
 
 
 @pytest.fixture(scope="session")
@@ -67,7 +69,13 @@ def predicted_replay(slush_replay) -> Replay:
     """The same robot as a member predicts it: twice as far."""
     frames = slush_replay.frames.copy()
     frames[..., 0] += np.linspace(0.0, frames[-1, 0, 0] - frames[0, 0, 0], len(frames))[:, None]
-    return replace(slush_replay, frames=frames, seen_in="Residual Slush (member 1)", surroundings="hallucinated slush")
+    return replace(
+        slush_replay,
+        frames=frames,
+        seen_in="Residual Slush (member 1)",
+        surroundings="hallucinated medium",
+        in_target=False,
+    )
 
 
 SETTINGS = """name: small

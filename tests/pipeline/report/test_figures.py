@@ -34,7 +34,11 @@ def draw(name: str, study: StudyPage, monkeypatch) -> Drawing:
 def with_trials(study: StudyPage, trials: list[ScoredTrial]) -> StudyPage:
     depths = sorted({trial.depth for trial in trials})
     settings = study.settings.model_copy(update={"grid": study.settings.grid.model_copy(update={"depths": depths})})
-    return replace(study, settings=settings, tables={"scores": trials, "transfer": transfer_rows(trials)})
+    return replace(
+        study,
+        settings=settings,
+        tables={"scores": trials, "transfer": transfer_rows(trials, "true_slush", papers=True)},
+    )
 
 
 def test_every_figure_is_drawn_twice(drawn):

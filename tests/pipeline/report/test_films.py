@@ -70,7 +70,7 @@ def test_hallucinated_slush_has_a_dashed_surface(slush_replay):
     """Dashes of 10 pixels in 16."""
     real, hallucinated = (
         count(next(pictures([replace(slush_replay, surroundings=filling)])), SURFACE)
-        for filling in ("true slush", "hallucinated slush")
+        for filling in ("medium", "hallucinated medium")
     )
     assert real >= PICTURE_WIDTH and hallucinated / real == pytest.approx(10 / 16, abs=0.05)
 

@@ -138,13 +138,13 @@ def test_the_transfer_table_is_of_the_greatest_depth_and_others_fold(html):
     measured = ["6.5 ± 0.7", "9.0 ± 1.4", "75\u00a0%", "11.0 ± 0.0", "92\u00a0%"]
     assert learned == ["Residual Slush, Ê", "2", *measured, "9.1", "11.8"]
     assert "At 1 other depth" in html[html.index('id="table-transfer"') :]
-    there = [name for name, kind in ENVIRONMENTS.items() if f"<dd>{kind.about}</dd>" in unescape(html)]
+    there = [name for name, kind in ENVIRONMENTS.items() if f"<dd>{kind.about}" in unescape(html)]
     assert there == ["true_slush", "dry_land", "residual_slush", "single_member"]
 
 
 def test_a_diverged_champion_is_counted_out(study, drawn):
     trials = [ScoredTrial("dry_land", 9.0, k, 0, zero_shot=z, status="ok") for k, z in enumerate((8.0, 10.0, np.nan))]
-    page = replace(study, tables={"transfer": transfer_rows(trials), "scores": trials})
+    page = replace(study, tables={"transfer": transfer_rows(trials, "true_slush"), "scores": trials})
     (row,) = cells(render_page(page, drawn), "transfer")
     assert "9.0 ± 1.4" in row and "3" in row
 
@@ -203,7 +203,7 @@ def test_what_a_study_does_not_have_is_left_out(study, html):
 def test_tables_can_be_downloaded(study):
     tables = {name: data.decode().splitlines() for name, data in tables_of(study.tables).items()}
     assert set(tables) == {"columns.csv", *(f"{name}.csv" for name, rows in study.tables.items() if rows)}
-    assert 'transfer,zero_shot,m,"Displacement of the root in True Slush, as it is."' in tables["columns.csv"]
+    assert 'transfer,zero_shot,m,"Displacement of the root in the target, as it is."' in tables["columns.csv"]
     assert tables["scores.csv"][0].startswith("environment,depth,trial,")
     assert len(tables["paper.csv"]) == len(study.rows("paper")) + 1
 

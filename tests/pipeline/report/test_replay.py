@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 from pipeline.config.settings import RolloutSettings
 from pipeline.report.replay import QUANTUM, encode, replay_of
 
-WORDS = {"title": "a robot", "environment": "", "seen_in": "True Slush", "depth": 2.0, "surroundings": "true slush"}
+WORDS = {"title": "a robot", "environment": "", "seen_in": "True Slush", "depth": 2.0, "surroundings": "medium"}
 
 
 def decode(encoded: dict) -> np.ndarray:

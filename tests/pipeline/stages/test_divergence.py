@@ -40,14 +40,14 @@ def test_trials(n_diverged, best, said):
     [
         ({}, None, None),
         ({"adapted": 2.0}, curve([0, 0]), None),
-        ({"zero_shot": np.nan}, None, "the champion diverged in True Slush"),
+        ({"zero_shot": np.nan}, None, "the champion diverged in the target"),
         (
             {"zero_shot": np.nan, "adapted": 2.0},
             curve([0, 2]),
             "2 of 1,000 designs of the adaptation diverged and were discarded; the first in generation 8; "
-            "the champion diverged in True Slush",
+            "the champion diverged in the target",
         ),
-        ({"adapted": np.nan}, curve([0, 0]), "the adapted champion diverged in True Slush"),
+        ({"adapted": np.nan}, curve([0, 0]), "the adapted champion diverged in the target"),
         ({}, curve([500], best=-np.inf), "not adapted: every design of the adaptation diverged"),
     ],
 )
@@ -63,4 +63,4 @@ def test_assessments_count_each_design_once():
     true[0], predicted[0, 1], predicted[2, 1] = np.nan, np.nan, np.inf
     assert somewhere({"true": true, "predicted": predicted}).tolist() == [True, False, True, False]
     said = in_assessment({"true": true, "predicted": predicted})
-    assert said == "2 of 4 designs diverged, in True Slush or under a member"
+    assert said == "2 of 4 designs diverged, in the target or under a member"

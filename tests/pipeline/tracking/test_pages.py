@@ -175,12 +175,12 @@ def test_the_runs_page_is_that_of_model_training():
 def test_the_list_of_studies_has_their_presets_and_headline_figures(store: Store, browser: Browser):
     tracker = Tracker(store.root, say=pytest.fail)
     for name in ("first", "second"):
-        headline = {"ratio_to_true_slush.zero_shot.dry_land.9m": 0.26, "accuracy.slope.mean": 0.5}
+        headline = {"ratio_to_target.zero_shot.dry_land.9m": 0.26, "accuracy.slope.mean": 0.5}
         study = Run(name, name, tags={"preset": "smoke"}, metrics=headline, status="FINISHED")
         tracker.mirror(study, Run("evolve", "evolve", status="FINISHED"))
     with pages(store.root) as (_, address):
         browser.visit(address, width=1600)
-        for words in ("first", "second", "smoke", "ratio_to_true_slush.zero_shot.dry_land.9m", "0.26"):
+        for words in ("first", "second", "smoke", "ratio_to_target.zero_shot.dry_land.9m", "0.26"):
             browser.until(f"document.body.innerText.includes({words!r})")
         text = browser.evaluate("document.body.innerText")
         assert "evolve" not in text and "accuracy.slope" not in text

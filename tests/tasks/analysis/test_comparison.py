@@ -81,7 +81,7 @@ ARMS = {("true_slush", 9.0): spread(10, 1, 5), ("dry_land", 9.0): spread(2, 1, 5
 
 def test_arms_of_a_study_are_compared_where_both_have_champions():
     table = trials_of(ARMS)
-    (row,) = compare(table, table, [(DRY, E)])
+    (row,) = compare(table, table, [(DRY, E)], E[0])
     assert (row.depth, row.a, row.b) == (9.0, "dry_land/zero_shot", "true_slush/zero_shot")
     assert (row.of_a, row.of_b) == (mean_of(ARMS["dry_land", 9.0]), mean_of(ARMS["true_slush", 9.0]))
     assert row.difference.value == pytest.approx(-8) and row.bound == pytest.approx(2)  # a fifth of E
@@ -90,7 +90,7 @@ def test_arms_of_a_study_are_compared_where_both_have_champions():
 
 def test_studies_are_compared_at_every_common_depth_and_corrected_together():
     a = trials_of({arm: values + 0.1 for arm, values in ARMS.items()})
-    rows = compare(a, trials_of(ARMS), [(E, E), (DRY, DRY)])
+    rows = compare(a, trials_of(ARMS), [(E, E), (DRY, DRY)], E[0])
     assert [(row.depth, row.a) for row in rows] == [
         (9.0, "true_slush/zero_shot"),
         (9.0, "dry_land/zero_shot"),
@@ -98,7 +98,7 @@ def test_studies_are_compared_at_every_common_depth_and_corrected_together():
     ]
     assert [row.p_holm for row in rows] == holm([row.p for row in rows])
     assert [row.bound for row in rows] == pytest.approx([2, 2, 0.8])  # without E, a fifth of B's own mean
-    same = compare(a, a, [(E, E)])
+    same = compare(a, a, [(E, E)], E[0])
     assert same[0].verdict == "agrees" and same[0].p is None
 
 

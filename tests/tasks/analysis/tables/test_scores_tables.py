@@ -6,7 +6,7 @@ import pytest
 from scores_of import study_of, trials_of
 
 from tasks.analysis.estimates import Mean
-from tasks.analysis.scores import BEST, ScoredTrial, arm_name, arms, sample
+from tasks.analysis.scores import ScoredTrial, arm_name, arms, sample
 from tasks.analysis.tables.transfer import papers_mean, transfer, transfer_rows
 
 NAN = float("nan")
@@ -34,7 +34,7 @@ def test_sigma_and_fitness_are_of_ensembles_alone():
         ScoredTrial("residual_slush", 9.0, 0, 0, fitness=3.0, predicted=5.0, predicted_sd=2.0, status="ok"),
         ScoredTrial("dry_land", 9.0, 0, 0, fitness=7.0, predicted=7.0, status="ok"),
     ]
-    land, residual = transfer_rows(trials)
+    land, residual = transfer_rows(trials, "true_slush")
     assert (residual.sigma, residual.fitness, residual.predicted.value) == (2.0, 3.0, 5.0)
     assert (land.sigma, land.fitness, land.predicted.value) == (None, None, 7.0)
 
@@ -45,7 +45,7 @@ def test_arms_are_listed_the_deepest_first_and_trials_by_number_with_their_repli
     trials = [ScoredTrial("residual_slush", 9.0, k, k % 2 + 5, zero_shot=z) for k, z in ((2, 2.0), (0, 0.0), (1, NAN))]
     found = sample(trials, ("residual_slush", "zero_shot"), 9.0)
     assert (found.values.tolist(), found.replicate.tolist()) == ([0.0, 2.0], [5, 5])
-    assert (arm_name(BEST), arm_name(("dry_land", "adapted"))) == ("True Slush", "Dry Land adapted")
+    assert arm_name(("dry_land", "adapted")) == "Dry Land adapted"
 
 
 def test_the_papers_means_are_at_its_depth_alone():

@@ -26,7 +26,8 @@ def study():
     return SimpleNamespace(
         trials=[*trials, ScoredTrial("residual_slush", 2.0, 0, 0, status="no champion")],
         champions=champions,
-        true_slush=lambda depth: TrueSlush(depth=depth),
+        target="true_slush",
+        at_target=lambda depth: TrueSlush(depth=depth),
         simulate=lambda environment, made: simulate(made, environment, **STEPS),
         rng=lambda *identity: np.random.default_rng([len(str(part)) for part in identity]),
     )
