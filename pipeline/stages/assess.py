@@ -24,7 +24,7 @@ from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
 from tasks.residual import ensemble_of_data_set
 from tasks.seeding import generator
-from tasks.world import EnvironmentName
+from tasks.world import EnvironmentName, environment_kind
 from tasks.world.slush import PAPERS_TARGET
 
 PREDICTIONS = "predictions.parquet"
@@ -32,18 +32,21 @@ ASSESSED = "assessed"  # role of the inputs of later stages that are a trial's p
 
 _SEGMENT = "segment"  # role of the inputs that are a trial's histories
 
-_UNITS = {
-    "environment": "where the design evolved",
-    "depth": "m",
-    "trial": "",
-    "generation": "",
-    "identity": "running number within the trial",
-    "true": "m, of the root in the target; NaN where diverged",
-    "true_com": "m, of the centre of mass in the target",
-    "predicted": "m, of the root under each member; NaN where diverged",
-    "predicted_com": "m, of the centre of mass under each member",
-}
-"""Columns of the predictions beside the genes, and their units."""
+
+def _units(target: str) -> dict[str, str]:
+    """Return what the columns of the predictions are, or their units."""
+    return {
+        "environment": "where the design evolved",
+        "depth": "m",
+        "trial": "",
+        "generation": "",
+        "identity": "running number within the trial",
+        "true": f"m, of the root in {target}; NaN where diverged",
+        "true_com": f"m, of the centre of mass in {target}",
+        "predicted": "m, of the root under each member; NaN where diverged",
+        "predicted_com": "m, of the centre of mass under each member",
+        **{gene.name: gene.unit for gene in GENES},
+    }
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
         "predicted_com": predicted.com_displacement.T,
         **dict(designs.arrays()),
     }
-    units = _UNITS | {gene.name: gene.unit for gene in GENES}
+    units = _units(environment_kind(spec.target).label)
     return {PREDICTIONS: encode_table(columns, schema="predictions", version=1, producer=item.key, units=units)}
 
 
