@@ -177,7 +177,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         n_throws = len(np.unique(transitions.throw))
         lines.append(
             f"{name}{n_throws:,} throws, {len(transitions):,} transitions; "
-            f"{wet.mean():.0%} touch {settings.target_label}, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
+            f"{wet.mean():.0%} are wet, {slow_and_wet:.0%} at less than 0.5 m/s"
         )
         figures = {"wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet}
         counts = {"n_throws": float(n_throws), "n_transitions": float(len(transitions))}
