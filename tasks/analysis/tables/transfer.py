@@ -29,12 +29,12 @@ class TransferRow(OfArm):
     zero_shot: Mean = column("zero-shot", "m", meaning="Displacement of the root in the target, as it is.")
     zero_shot_com: Mean = column("zero-shot CoM", "m", shown=False, meaning="Of the centre of mass.")
     zero_shot_share: float | None = column(
-        "of best", form=percent, meaning="Share of the zero-shot displacement of designs evolved in the target."
+        "share", form=percent, meaning="Of the zero-shot displacement of designs evolved in the target."
     )
     adapted: Mean = column("adapted", "m", meaning="With a controller that evolved in the target.")
     adapted_com: Mean = column("adapted CoM", "m", shown=False, meaning="Of the centre of mass.")
-    adapted_share: float | None = column("of best", form=percent)
-    adapted_share_of_adapted: float | None = column("of best adapted", form=percent, meaning="Both searched twice.")
+    adapted_share: float | None = column("share", form=percent)
+    adapted_share_of_adapted: float | None = column("share of adapted", form=percent, meaning="Both searched twice.")
     paper_zero_shot: float | None = column("paper", "m", meaning="The paper's mean over 10 trials, zero-shot.")
     paper_adapted: float | None = column("paper, adapted", "m", meaning="The same, adapted.")
 

@@ -27,7 +27,7 @@ class LuckRow(OfArm):
     one: Mean = column("one start", "m", meaning="Zero-shot, as in every other table.")
     again: Mean = column(f"{N_STARTS} starts", "m", meaning="Mean over starts that differ by 1 mm and 1 mrad a joint.")
     luck: Estimate = column("luck", "m", form="{:z.2f}", meaning="One start minus the mean over many.")
-    share: Estimate = column("of best", form=percent, meaning=f"{N_STARTS} starts of either.")
+    share: Estimate = column("share", form=percent, meaning=f"{N_STARTS} starts of either.")
 
 
 @analysis(
