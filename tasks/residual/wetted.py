@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 
 from tasks.arrays import Float32, Floats
+from tasks.world.medium import LinkStates, Medium
+from tasks.world.physics import Physics
 from tasks.world.slush import submerged_part
 
 WETTED = (
@@ -47,6 +49,25 @@ _TURNED = {"cos_angle", "sin_angle", "along", "across", "along_squared", "across
 _MIRRORED = {"sin_angle", "across", "omega", "across_squared"}  # change sign in the mirror image
 _CHANGED: tuple[set[str], ...] = (set(), _TURNED, _MIRRORED, _TURNED ^ _MIRRORED)
 _DRY = 1e-6  # A_s and J below which a link counts as dry in training
+
+
+def acts_above_water(medium: Medium, physics: Physics) -> bool:
+    """Return whether a medium changes the motion of dry links, which no network of this form can learn."""
+    a, angle = np.linspace(1.0, 3.0, 9), np.linspace(0.0, 6.0, 9)
+    same = np.ones(9)
+    mass = physics.link_density * same
+    dry = LinkStates(
+        length_scale=a,
+        mass=mass,
+        inertia=mass * (a**2 + a**-2) / 12,
+        y=2 * same,
+        cos=np.cos(angle),
+        sin=np.sin(angle),
+        vx=3 * same,
+        vy=-2 * same,
+        omega=4 * same,
+    )
+    return any(np.any(change) for change in vars(medium.velocity_change(dry, physics)).values())
 
 
 def wetted_inputs(quantities: Mapping[str, Floats]) -> Float32:
