@@ -17,6 +17,7 @@ from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Afpo, Deviation, Objec
 from tasks.parameters import Parameters, later_choice
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
+from tasks.residual.wetted import acts_above_water
 from tasks.tracks.conventions import Tracks
 from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush, in_order
 from tasks.world.registry import settings_groups
@@ -321,6 +322,14 @@ class Settings(Parameters):
                     unknown = PydanticCustomError("value_error", words)
                     errors: list[InitErrorDetails] = [{"type": unknown, "loc": place, "input": name}]
                     raise ValidationError.from_exception_data("Settings", errors)
+        wetted = [name for name, learner in self.arm_learners.items() if learner.network.form == "wetted"]
+        groups = {group: getattr(self, group) for group in settings_groups()}
+        medium = ENVIRONMENTS[self.target].environment(0.0, groups).medium
+        if wetted and medium is not None and acts_above_water(medium, self.physics):
+            raise ValueError(
+                f"network.form is wetted for {', '.join(wetted)}, but {self.target_label} acts above y = 0, where such "
+                f"networks see nothing: expected plain"
+            )
 
     def _check_objective(self) -> None:
         """Refuse an objective without its data."""

@@ -11,8 +11,17 @@ from tasks.residual.ensemble import Ensemble
 from tasks.residual.torch_descent import mean_loss
 from tasks.residual.training import train_member
 from tasks.residual.validation import split_throws
-from tasks.residual.wetted import in_link_axes, in_world_axes, symmetric_copies, training_targets, wetted_inputs
-from tasks.world import LinkStates, Physics, Slush
+from tasks.residual.wetted import (
+    acts_above_water,
+    in_link_axes,
+    in_world_axes,
+    symmetric_copies,
+    training_targets,
+    wetted_inputs,
+)
+from tasks.world import LinkStates, Physics, Slush, VelocityChange
+from tasks.world.anisotropic_slush import AnisotropicSlush
+from tasks.world.flowing_slush import FlowingSlush
 
 TRAINING = Training(
     n_iterations=1000, batch_size=512, loss="mse", learning_rate=3e-2, min_learning_rate=3e-4, held_out=0.2
@@ -131,3 +140,18 @@ def test_the_form_brings_its_own_inputs():
     with pytest.raises(ValidationError, match="observation is given, but the form wetted has inputs of its own"):
         Architecture(form="wetted", observation=("y", "vx"))
     assert "form" not in Architecture().model_dump(mode="json")  # the keys of earlier studies stay
+
+
+class Wind:
+    """It blows on what is in the air."""
+
+    def velocity_change(self, links, physics):
+        push = np.where(links.y > 0, 0.1, 0.0)
+        return VelocityChange(push, 0 * push, 0 * push)
+
+
+@pytest.mark.parametrize(
+    ("medium", "acts"), [(Slush(), False), (FlowingSlush(), False), (AnisotropicSlush(), False), (Wind(), True)]
+)
+def test_media_that_act_above_the_water(medium, acts):
+    assert acts_above_water(medium, Physics()) == acts
