@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import asdict
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -148,7 +148,6 @@ def export(
             "--table", help="Write only this table; repeat for several. Default: all but the histories of designs."
         ),
     ] = None,
-    kind: Annotated[Literal["parquet", "csv"], typer.Option("--format", help="Format of the tables.")] = "parquet",
     mjcf: Annotated[bool, typer.Option("--mjcf", help="Write champions as models of MuJoCo (XML), too.")] = False,
     store: StorePath = DEFAULT_STORE,
 ) -> None:
@@ -159,7 +158,7 @@ def export(
     from pipeline.results.export_folder import export_study
 
     with interruptible():
-        to_stdout(*export_study(_opened(study, store), out, kind, tables=tables, mjcf=mjcf, say=to_stderr))
+        to_stdout(*export_study(_opened(study, store), out, tables=tables, mjcf=mjcf))
 
 
 @with_options

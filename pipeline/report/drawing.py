@@ -1,4 +1,4 @@
-"""The common look of all figures, and their output as SVG and PNG. The same report always gives the same bytes.
+"""The common look of all figures, and their output as SVG, PNG and PDF. The same report always gives the same bytes.
 
 Figures are as narrow as a phone (360 units), so that their text stays legible there; a page may enlarge them. The SVG
 keeps text as text.
@@ -11,7 +11,6 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib import style as mpl_style
 from matplotlib.artist import Artist
@@ -26,6 +25,7 @@ FIGURE_WIDTH = 360 / 72  # width of a figure [inch]; 360 units of its SVG
 
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
+    "pdf.fonttype": 42,  # text that an editor of figures can change
     "svg.hashsalt": "puddle",
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -64,8 +64,8 @@ class Drawing:
     title: str
     description: str  # the caption, which is also the text for readers who cannot see the figure
     svg: bytes
-    png: bytes  # the figure on white, three pixels per unit, or 600 dots per inch for print
-    pdf: bytes = b""  # for print
+    png: bytes  # the figure on white, 300 dots per inch
+    pdf: bytes  # for print
 
 
 @dataclass(frozen=True)
@@ -86,16 +86,13 @@ def _figure_style() -> AbstractContextManager[None]:
     return mpl_style.context(["default", _STYLE])
 
 
-def finish(
-    name: str, title: str, draw: Callable[[], tuple[Figure, str]], *, for_print: bool = False
-) -> Drawing | Missing:
-    """Return a figure, encoded as SVG and PNG, or the reason why there is none.
+def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Drawing | Missing:
+    """Return a figure, encoded, or the reason why there is none.
 
     Args:
         name: name of the figure, used for its files and its id on the page.
         title: heading.
         draw: returns the figure and its description, or raises NothingToDraw.
-        for_print: whether to encode it as PDF, too.
     """
     with _figure_style():
         try:
@@ -105,11 +102,8 @@ def finish(
         _fix_layout(figure)
         svg, png, pdf = io.BytesIO(), io.BytesIO(), io.BytesIO()
         figure.savefig(svg, format="svg", metadata=_NO_METADATA)
-        dpi = 600 if for_print else 216
-        figure.savefig(png, format="png", dpi=dpi, facecolor="white", metadata={"Software": None})
-        if for_print:
-            with mpl.rc_context({"pdf.fonttype": 42}):  # text that an editor of figures can change
-                figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
+        figure.savefig(png, format="png", dpi=300, facecolor="white", metadata={"Software": None})
+        figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
     return Drawing(name, title, description, _round_paths(svg.getvalue()), png.getvalue(), pdf.getvalue())
 
 

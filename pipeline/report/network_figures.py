@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.drawing import DASHED, DOTTED, FIGURE_WIDTH, INK, NothingToDraw, legend, panel_grid, sampled
 from pipeline.report.palette import LOOKS
-from pipeline.report.robot_view import link_outline
+from pipeline.report.replay import link_corners
 from tasks.analysis.estimates import Estimate
 from tasks.analysis.registry import Assessed
 from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemble_name
@@ -66,48 +66,43 @@ def _paths(panel: Any, throws: ThrowPaths, chosen: Int64, color: str) -> None:
     length = np.nansum(np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2), axis=1)
     length[(np.abs(paths[:, :, :2]) > 0.6 * _VIEW).any(axis=(1, 2))] *= 1e-3
     poses = paths[int(np.argmax(length)), :: max(1, paths.shape[1] // 10)]
-    outlines = list(link_outline(poses, np.full(len(poses), throws.length_scale[chosen][0])))
+    outlines = list(link_corners(poses, throws.length_scale[chosen][0]))
     panel.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=INK, linewidths=0.9))
 
 
-def prediction_accuracy(
-    assessed: Mapping[str, Assessed], regressions: Sequence[Regression], target: str, *, members: bool
-) -> Figure:
-    """Draw a 2-D histogram with regression and ideal lines for the mean of each ensemble, or for each main member.
+def prediction_accuracy(assessed: Mapping[str, Assessed], regressions: Sequence[Regression], target: str) -> Figure:
+    """Draw a 2-D histogram with regression and ideal lines for the mean of each ensemble.
 
     The square spans 99.8 % of all displacements, so that a single extreme prediction does not stretch it.
     """
     fits = {(row.learned_from, row.name): row for row in regressions}
-    panels: list[tuple[str, Float64, Float64, list[tuple[Regression, Any]]]] = []
-    for group, one in list(assessed.items())[: 1 if members else None]:
-        if not members:
-            lines = [(fits[group, name], dashes) for name, dashes in ((MEAN, "-"), (CAUTIOUS, DOTTED))]
-            panels.append((ensemble_name(group), one.predicted.mean(axis=0), one.true, lines))
-        for k, row in enumerate(one.predicted if members else ()):
-            panels.append((f"member {k}", row, one.true, [(fits[group, f"member {k}"], "-")]))
-    known = [np.isfinite(x) & np.isfinite(y) for _, x, y, _ in panels]
-    if not any(used.any() for used in known):
+    panels: dict[str, tuple[Float64, Float64]] = {}
+    for group, one in assessed.items():
+        mean = one.predicted.mean(axis=0)
+        known = np.isfinite(mean) & np.isfinite(one.true)
+        panels[group] = mean[known], one.true[known]
+    shown = np.concatenate([values for pair in panels.values() for values in pair]) if panels else np.empty(0)
+    if not len(shown):
         raise NothingToDraw
-    pairs = ((x[used], y[used]) for (_, x, y, _), used in zip(panels, known, strict=True))
-    low, high = np.quantile(np.concatenate([values for pair in pairs for values in pair]), (0.001, 0.999))
+    low, high = np.quantile(shown, (0.001, 0.999))
     margin = 0.02 * (high - low) or 0.5
     low, high = float(low - margin), float(high + margin)
     edges = np.linspace(low, high, _N_BINS + 1)
     figure, drawn = panel_grid(len(panels), 2, row_height=2.45)
-    for panel, (name, x, y, lines), used in zip(drawn, panels, known, strict=True):
-        counts = np.histogram2d(x[used], y[used], bins=(edges, edges))[0]
+    for panel, (group, (x, y)) in zip(drawn, panels.items(), strict=True):
+        counts = np.histogram2d(x, y, bins=(edges, edges))[0]
         seen = np.ma.masked_equal(counts.T, 0)
         looks = {"cmap": _DENSITY, "norm": LogNorm(1, max(2, int(counts.max()))), "interpolation": "none"}
         # Not exactly square: Matplotlib leaves no room for the labels of a figure whose panels keep their proportions.
         panel.imshow(seen, origin="lower", extent=(low, high, low, high), aspect="auto", **looks)
         panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=DASHED)
-        title = [name]
-        for fit, dashes in lines:
+        title = [ensemble_name(group)]
+        for name, symbol, dashes in ((MEAN, "μ", "-"), (CAUTIOUS, "μ − σ", DOTTED)):
+            fit = fits[group, name]
             if fit.slope.value is not None and fit.intercept.value is not None:
                 ends = np.array([low, high])
                 panel.plot(ends, fit.intercept.value + fit.slope.value * ends, color=INK, lw=1.6, ls=dashes)
-            symbol = "" if members else "μ: " if fit.name == MEAN else "μ − σ: "
-            title.append(f"{symbol}R {_two_digits(fit.r)}, m {_two_digits(fit.slope)}")
+            title.append(f"{symbol}: R {_two_digits(fit.r)}, m {_two_digits(fit.slope)}")
         panel.set_title("\n".join(title), fontsize=9)
         panel.set(xlim=(low, high), ylim=(low, high))
         for axis in (panel.xaxis, panel.yaxis):

@@ -76,7 +76,6 @@ class PageFigure:
     section: str
     caption: str
     draw: Callable[[StudyPage], Figure]
-    inline: bool = True  # on the page; otherwise it is a download
 
 
 FIGURES: Mapping[str, PageFigure] = {
@@ -109,18 +108,7 @@ FIGURES: Mapping[str, PageFigure] = {
         "Displacement in {target} against the ensemble’s mean prediction, for designs of whole runs. Darker cells "
         "hold more of them. A slope m below 1 means that the networks overestimate how far robots get; the dotted line "
         "is for μ − σ.",
-        lambda page: network_figures.prediction_accuracy(
-            page.assessed, page.rows("regressions"), page.target, members=False
-        ),
-    ),
-    "prediction_accuracy_members": PageFigure(
-        "Prediction accuracy of each member",
-        "networks",
-        "The same for each network of the main ensemble.",
-        lambda page: network_figures.prediction_accuracy(
-            page.assessed, page.rows("regressions"), page.target, members=True
-        ),
-        inline=False,
+        lambda page: network_figures.prediction_accuracy(page.assessed, page.rows("regressions"), page.target),
     ),
     "data_set": PageFigure(
         "The throws",
@@ -131,14 +119,12 @@ FIGURES: Mapping[str, PageFigure] = {
 }
 
 
-def draw_all(page: StudyPage, *, for_print: bool = False) -> dict[str, Drawing]:
+def draw_all(page: StudyPage) -> dict[str, Drawing]:
     """Draw the figures for which a study has data, by name."""
     several = len(page.settings.grid.depths) > 1
     skipped = "transfer_at_depth" if several else "transfer_across_depths"
     made = {
-        name: finish(name, one.title, partial(_drawn, one, page), for_print=for_print)
-        for name, one in FIGURES.items()
-        if name != skipped
+        name: finish(name, one.title, partial(_drawn, one, page)) for name, one in FIGURES.items() if name != skipped
     }
     return {name: drawing for name, drawing in made.items() if isinstance(drawing, Drawing)}
 

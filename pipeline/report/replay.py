@@ -17,6 +17,7 @@ from tasks.world import Physics
 
 STEPS_PER_SECOND = 60  # steps per second of a trace with the paper's time step
 STEPS_PER_FRAME = 2
+FILM_FPS = STEPS_PER_SECOND // STEPS_PER_FRAME  # pictures per second of a film: every frame of a replay
 
 QUANTUM = 1e-3  # step of the encoded coordinates [m and rad]; the page is within half of it of the trace
 
@@ -74,6 +75,14 @@ class Replay:
         share = place - before
         pose: Float64 = (1 - share) * self.frames[before] + share * self.frames[before + 1]
         return pose
+
+
+def link_corners(pose: Float64, length: Float64) -> Float64:
+    """Return the corners of links, (..., 4, 2) x, y [m], from (..., 3) poses x, y, angle and long axes [m]."""
+    across, along = np.multiply.outer(0.5 / length, (1, -1, -1, 1)), np.multiply.outer(0.5 * length, (1, 1, -1, -1))
+    x, y, angle = (part[..., None] for part in np.moveaxis(pose, -1, 0))
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([x + cos * across - sin * along, y + sin * across + cos * along], axis=-1)
 
 
 def at_frames(by_step: Floats, n_settle: int) -> Float64:

@@ -6,7 +6,7 @@
     settings.yaml                   the study's settings, for `puddle study --settings`
     champions/ARM-trial-N.json      a design file for each champion; ARM-trial-N-adapted.json: with adapted controller
     champions/ARM-trial-N.xml       the same as a model of MuJoCo, where it was asked for
-    tables/NAME.parquet or .csv     as study.tables names them
+    tables/NAME.parquet             as study.tables names them
     tables/columns.csv              what every table holds, and type, unit and meaning of its columns
     figures/NAME.svg, .png, .pdf    five inches wide
     figures/captions.txt            what each figure shows
@@ -19,15 +19,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Literal
 
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.csv
 import pyarrow.parquet as pq
 import yaml
 
@@ -51,27 +46,16 @@ from tasks.simulation.mjcf import mjcf as as_mjcf
 EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
 
 LARGE_TABLES = ("histories", "adaptations")  # of every design that ever lived; gigabytes in a large study
-_CSV_PER_PARQUET = 5  # bytes, about
 
 
-def export_study(
-    study: Study,
-    out: Path,
-    kind: Literal["parquet", "csv"],
-    *,
-    tables: Sequence[str] | None = None,
-    mjcf: bool = False,
-    say: Callable[[str], None],
-) -> list[str]:
+def export_study(study: Study, out: Path, *, tables: Sequence[str] | None = None, mjcf: bool = False) -> list[str]:
     """Write the folder, or nothing.
 
     Args:
         study: the study.
         out: the folder: a new one, an empty one, or an earlier export, which is replaced.
-        kind: format of the tables.
         tables: names of the tables to write; if there are none, all of the study's but ``LARGE_TABLES``.
         mjcf: whether to write champions as models of MuJoCo, too.
-        say: shows what is being written.
 
     Returns:
         Lines that say what was written, what was preserved and what is missing.
@@ -102,11 +86,8 @@ def export_study(
         rows = page.rows("transfer")
         folder.write("transfer.tex", as_latex(TransferRow, rows, f"Transfer results of study {study.name}.").encode())
         n_champions = _write_champions(study, folder, mjcf)
-        n_bytes = sum(map(study.table_bytes, chosen)) * (_CSV_PER_PARQUET if kind == "csv" else 1)
-        say(f"writing {len(chosen)} tables, at most about {n_bytes / 1e6:,.1f} MB")
-        n_rows = _write_tables(study, chosen, folder, kind)
-        say("drawing figures")
-        drawings = draw_all(page, for_print=True)
+        n_rows = _write_tables(study, chosen, folder)
+        drawings = draw_all(page)
         for drawing in drawings.values():
             for suffix, content in (("svg", drawing.svg), ("png", drawing.png), ("pdf", drawing.pdf)):
                 folder.write(f"figures/{drawing.name}.{suffix}", content)
@@ -139,59 +120,23 @@ def _write_champions(study: Study, folder: NewFolder, mjcf: bool) -> int:
     return n_champions
 
 
-# -- tables ----------------------------------------------------------------------------------------------------------
-
-
-def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder, kind: str) -> int:
+def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder) -> int:
     """Write tables, and the list of what they and their columns hold; return the number of rows."""
     n_rows = 0
     sheet = io.StringIO()
     columns = csv.writer(sheet, lineterminator="\n")
     columns.writerow(("table", "column", "type", "unit", "meaning"))
     for name in tables:
-        path = folder.place(f"tables/{name}.{kind}")
-        schema, n_of_table = _write(path, partial(study.parts, name), kind)
+        path, parts = folder.place(f"tables/{name}.parquet"), study.parts(name)  # which may exceed the memory
+        first = next(parts)
+        with pq.ParquetWriter(path, first.schema, compression="zstd") as writer:
+            for part in chain((first,), parts):
+                writer.write_table(part)
+                n_rows += len(part)
         disk.fsync(path)
         columns.writerow((name, "", "", "", about(name)))
-        for one in schema:
+        for one in first.schema:
             unit, meaning, label = (one.metadata.get(word, b"").decode() for word in (b"unit", b"meaning", b"label"))
             columns.writerow((name, one.name, one.type, unit, meaning or label))
-        n_rows += n_of_table
     folder.write("tables/columns.csv", sheet.getvalue().encode())
     return n_rows
-
-
-def _write(path: Path, parts: Callable[[], Iterator[pa.Table]], kind: str) -> tuple[pa.Schema, int]:
-    """Write a table of any length, one part at a time; return its schema and number of rows.
-
-    In CSV, NaN becomes an empty field, and a list a column per element.
-    """
-    rows = parts() if kind == "parquet" else _flat(parts)
-    first, n_rows = next(rows), 0
-    opened = pq.ParquetWriter(path, first.schema, compression="zstd") if kind == "parquet" else None
-    with opened or pyarrow.csv.CSVWriter(path, first.schema) as writer:
-        for part in chain((first,), rows):
-            writer.write_table(part)
-            n_rows += len(part)
-    return first.schema, n_rows
-
-
-def _flat(parts: Callable[[], Iterator[pa.Table]]) -> Iterator[pa.Table]:
-    """Replace lists by a column per element, which are empty where the list is shorter, and NaN by null."""
-    widths: dict[str, int] = {}
-    for part in parts():
-        for one in part.schema:
-            width = (pc.max(pc.list_value_length(part[one.name])).as_py() or 1) if pa.types.is_list(one.type) else 0
-            widths[one.name] = max(width, widths.get(one.name, 0))
-    for part in parts():
-        columns: list[pa.ChunkedArray] = []
-        fields: list[pa.Field] = []
-        for one, column in zip(part.schema, part.columns, strict=True):
-            values = {one.name: column}
-            if width := widths[one.name]:
-                padded = pc.list_slice(column, 0, width, return_fixed_size_list=True)
-                values = {f"{one.name}_{index}": pc.list_element(padded, index) for index in range(width)}
-            for name, value in values.items():
-                columns.append(pc.if_else(pc.is_nan(value), None, value) if pa.types.is_floating(value.type) else value)
-                fields.append(pa.field(name, value.type, metadata=one.metadata))
-        yield pa.Table.from_arrays(columns, schema=pa.schema(fields))

@@ -16,7 +16,6 @@ from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.results.study_tables import KEYS, SOURCES, available, keys_of, parts_of
 from pipeline.stages import STAGES, environments
-from pipeline.stages.analyse import table_file
 from pipeline.stages.data_sets import data_sets, ensemble_ids, networks_of
 from pipeline.stages.transfer import ADAPTED, CHAMPION, read_trials
 from pipeline.stages.trial_scores import SCORE, decode_scores
@@ -142,14 +141,6 @@ class Study:
         else:
             yield from parts_of(name, self.upstream[SOURCES[name].stage], self.store, only=only)
 
-    def table_bytes(self, name: str) -> int:
-        """Return the size of a table's files in the store [bytes]."""
-        if name == CHAMPIONS:
-            return 0
-        source = SOURCES[name]
-        found = source.files(self.upstream[source.stage]).values()
-        return sum(one.files[table_file(source.schema)].n_bytes for manifests in found for one in manifests)
-
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.
 
@@ -236,20 +227,11 @@ class Study:
             MissingInputs: a network is not trained yet.
         """
         known = data_sets(self.settings)
-        if not known:
-            arms = ", ".join(self.settings.grid.environments)
-            raise PuddleError(
-                f"study {self.name} has no networks: its grid.environments are {arms}, expected one that learns from "
-                f"throws, such as residual_slush"
-            )
-        group = throws or known[0].group
+        group = throws or next((data_set.group for data_set in known), "throws")
         wanted = [one for one in known if (one.group, one.replicate) == (group, replicate)]
         if not wanted:
-            listed = ", ".join(data_set.label for data_set in known)
-            raise PuddleError(
-                f"study {self.name} has no ensemble of replicate {replicate} of {throws or 'any throws'}: expected one "
-                f"of {listed}"
-            )
+            listed = ", ".join(data_set.label for data_set in known) or "none: no arm of its grid learns from throws"
+            raise PuddleError(f"study {self.name} has networks of {listed}; got replicate {replicate} of {group}")
         networks = environments.read_networks(ensemble_ids(self.settings, wanted[0]), self.upstream, self.store)
         return environments.ensemble_of(networks)
 

@@ -1,40 +1,29 @@
 """The results of a study in one small file, which documents and other programs can quote: ``results.json``."""
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from pipeline.report.page import StudyPage
 from pipeline.report.render import as_json
 from pipeline.results.recorded_study import Study
 from pipeline.stages import STAGES
-from pipeline.store.encoding import Json
-from pipeline.store.manifest import Manifest
 from pipeline.store.provenance import environment as provenance
-from pipeline.workflow.identity import TrialId
 from tasks.analysis.estimates import Mean
 from tasks.analysis.tables import ANALYSES
 
-_TRIAL = ("environment", "depth", "trial")
-_SCORES = ("predicted", "predicted_sd", "fitness", "zero_shot", "adapted")
+_OF_CHAMPION = ("environment", "depth", "trial", "predicted", "predicted_sd", "fitness", "zero_shot", "adapted")
 _MEANS = ("predicted", "zero_shot", "adapted")
 _DIGITS = 4  # decimals of a displacement [m]
-_DIGITS_OF_DIGEST = 16  # hexadecimal, of a champion's
 
 
 def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
     """Return a study's results: champions, each arm's means and deviations, what they are compared with, and digests.
 
     Displacements are in metres, of the root. Times are in core-seconds. A stage's digest is the SHA-256 of the digests
-    of its items, ordered by label, and a champion has the first digits of those of its own evolution and transfer.
+    of its items, ordered by label.
     """
-    upstream, of_trials = study.upstream, dict[tuple[Json, ...], dict[str, str]]()
-    for stage in ("evolve", "transfer"):
-        for trial, parts in upstream[stage].done.items():
-            assert isinstance(trial, TrialId)
-            key = trial.environment, trial.depth, trial.index
-            of_trials.setdefault(key, {})[stage] = _joined(parts)[:_DIGITS_OF_DIGEST]
-    champions = [row for row in page.rows("scores") if row.status == "ok"]
+    upstream = study.upstream
     return {
         "schema": "puddle.results",
         "version": 4,
@@ -60,9 +49,9 @@ def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
         ],
         "luck": _rows(page, "luck", lambda row: True),
         "champions": [
-            {name: _rounded(getattr(row, name)) for name in (*_TRIAL, *_SCORES)}
-            | {"digests": of_trials.get(tuple(getattr(row, name) for name in _TRIAL), {})}
-            for row in champions
+            {name: _rounded(getattr(row, name)) for name in _OF_CHAMPION}
+            for row in page.rows("scores")
+            if row.status == "ok"
         ],
     }
 
@@ -82,8 +71,5 @@ def _rounded(value: Any) -> Any:
 
 def _digest(study: Study, stage: str) -> str:
     done = study.upstream[stage].done
-    return _joined(part for identity in sorted(done, key=lambda identity: identity.label) for part in done[identity])
-
-
-def _joined(parts: Iterable[Manifest]) -> str:
+    parts = (part for identity in sorted(done, key=lambda identity: identity.label) for part in done[identity])
     return hashlib.sha256("".join(part.digest for part in parts).encode()).hexdigest()

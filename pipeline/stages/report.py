@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.config.settings import Settings, WorkSettings
-from pipeline.report.camera import FILM_FPS
 from pipeline.report.network_figures import ThrowPaths
 from pipeline.report.page import StudyPage, heroes, robot_address, tables_of
 from pipeline.report.render import typeset
+from pipeline.report.replay import FILM_FPS
 from pipeline.report.transfer_figures import Curves
 from pipeline.stages import divergence, segments
 from pipeline.stages.analyse import read_tables

@@ -5,7 +5,7 @@ tank do to the robot, so the links' angles relative to the root's show when the 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from scipy.signal import lombscargle
@@ -92,9 +92,9 @@ class RunComparison:
         """Tabulate the run beside what was expected of it."""
         runs = (("measured", self.measured), ("simulated", self.simulated))
         rows = [RunRow(name, 1000 * run.x[-1], Estimate(1000 * run.speed), run.frequency) for name, run in runs]
-        if (found := self.prediction).interval is not None:
-            in_mm = (1000 * end for end in (found.value or 0.0, *found.interval))
-            rows.append(RunRow(f"predicted by {self.robot.predicted_by}", None, Estimate(*in_mm), None))
+        if self.robot.predicted is not None:
+            in_mm = Estimate(*(1000 * (speed or 0.0) for speed in astuple(self.prediction)))
+            rows.append(RunRow(f"predicted by {self.robot.predicted_by}", None, in_mm, None))
         return rows
 
 
@@ -115,7 +115,16 @@ def compare_with_simulation(robot: BuiltRobot, paths: Mapping[int, LinkPath]) ->
     angle = np.column_stack([np.interp(time, paths[i][0], paths[i][1][:, 2]) for i in links]) - root[:, 2:]
     steady = steady_part(time, angle, 1 / robot.frequency)
     measured = _steady_run(time[steady], root[steady, 0], angle[steady], robot.frequency)
-    return RunComparison(robot, measured, _simulated(robot, measured.time[-1], links))
+    step = robot.physics.time_step * robot.time_scale
+    n_settle, n_measure = robot.n_settle, int(np.ceil(measured.time[-1] / step)) + 1
+    rollouts = simulate(
+        robot.design, robot.environment, n_settle=n_settle, n_measure=n_measure, trace=True, physics=robot.physics
+    )
+    if rollouts.trace is None or not (rollouts.status == OK).all():
+        raise RunError("its simulation diverged, so there is nothing to compare with")
+    trace = rollouts.trace[0, n_settle:].astype(np.float64)
+    angle, x = trace[:, links, Column.ANGLE] - trace[:, :1, Column.ANGLE], robot.scale * trace[:, 0, Column.X]
+    return RunComparison(robot, measured, _steady_run(step * np.arange(n_measure), x, angle, robot.frequency))
 
 
 def steady_part(time: Float64, angle: Float64, period: float) -> slice:
@@ -163,18 +172,3 @@ def steady_speed(time: Float64, x: Float64, period: float) -> float:
 def _steady_run(time: Float64, x: Float64, angle: Float64, frequency: float) -> SteadyRun:
     found = gait_frequency(time, angle, frequency)
     return SteadyRun(time - time[0], x - x[0], steady_speed(time, x, 1 / frequency), found)
-
-
-def _simulated(robot: BuiltRobot, seconds: float, links: Sequence[int]) -> SteadyRun:
-    """Simulate as long a run after settling."""
-    step = robot.physics.time_step * robot.time_scale
-    n_steps, n_settle = int(np.ceil(seconds / step)) + 1, robot.n_settle
-    rollouts = simulate(
-        robot.design, robot.environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=robot.physics
-    )
-    if rollouts.trace is None or not (rollouts.status == OK).all():
-        raise RunError("its simulation diverged, so there is nothing to compare with")
-    trace = rollouts.trace[0, n_settle:].astype(np.float64)
-    angle = trace[:, links, Column.ANGLE] - trace[:, :1, Column.ANGLE]
-    time = np.asarray(step * np.arange(n_steps), dtype=np.float64)
-    return _steady_run(time, robot.scale * trace[:, 0, Column.X], angle, robot.frequency)

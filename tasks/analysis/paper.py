@@ -42,12 +42,6 @@ AGGREGATES: Mapping[tuple[str, Figure], tuple[float, str]] = {
 }
 """Figures of aggregates of the eight members."""
 
-RANGES: Mapping[Figure, tuple[float, float, str]] = {
-    "r": (0.24, 0.68, '"ranging from 0.24 and 0.68", Fig. 3'),
-    "slope": (0.25, 0.76, '"ranging from 0.25 to 0.76", Fig. 3'),
-}
-"""Ranges of figures over the eight members."""
-
 
 @dataclass(frozen=True)
 class Statement:

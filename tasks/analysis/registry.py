@@ -193,10 +193,8 @@ ANALYSES: Mapping[str, Analysis] = MappingProxyType(_registered)
 """Every analysis by name. Complete once ``tasks.analysis.tables`` is imported."""
 
 
-def analysis(
-    name: str, *, row: type, reads: tuple[str, ...], answers: str, **options: Any
-) -> Callable[[Callable[[StudyData], Sequence[Any]]], Callable[[StudyData], Sequence[Any]]]:
-    """Register the function below as the analysis that makes a table; see :class:`Analysis`.
+def analysis(name: str, **about: Any) -> Callable[[Callable[[StudyData], Any]], Callable[[StudyData], Any]]:
+    """Register the function below as the analysis that makes a table; ``about`` are fields of :class:`Analysis`.
 
     Raises:
         ValueError: the name is taken.
@@ -204,8 +202,8 @@ def analysis(
     if name in _registered:
         raise ValueError(f"analysis {name!r} is registered twice, expected a name of its own")
 
-    def register(compute: Callable[[StudyData], Sequence[Any]]) -> Callable[[StudyData], Sequence[Any]]:
-        _registered[name] = Analysis(name, row, compute, reads, answers, **options)
+    def register(compute: Callable[[StudyData], Any]) -> Callable[[StudyData], Any]:
+        _registered[name] = Analysis(name=name, compute=compute, **about)
         return compute
 
     return register

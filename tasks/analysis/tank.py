@@ -6,8 +6,8 @@ the tank is scaled to the simulated robot: lengths by the scale of the build, ti
 keeps weight, buoyancy, drag and inertia in proportion. At 70 mm per metre, 150 s are 567 s of simulation.
 
 A simulation repeats itself exactly, so each further trial starts at another moment of the gait, with its joints shifted
-by less than printing can hold. The simulated tank has no walls: whether a robot fits follows from its size, and two
-pontoons make it as wide as they are apart.
+by less than printing can hold. The simulated tank has no walls: two pontoons make a robot as wide as they are
+apart.
 
 The paper's robot did not move on the dry floor, "due to insufficient torque". So the dry floor is tried with the
 simulation's limit and with the servo's torque, which scales as weight times length: as built, 1.96 N·m hold up as much
@@ -102,7 +102,6 @@ class Crossings(NamedTuple):
     """How n_robots fared in the tank, in simulated metres; NaN where a robot diverged."""
 
     length: Float64  # (n_robots,) length of the settled robot along the tank [m]
-    height: Float64  # (n_robots,) height of the settled robot [m]
     travelled: Float64  # (n_robots,) by its centre of mass until it crossed or time ran out [m]
     crossed: Bools  # (n_robots,) whether it crossed in time; False for a robot as long as the tank or wider
 
@@ -136,8 +135,7 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
 
     A settled robot starts with its rear at one end. It has crossed when its centre of mass has travelled the tank's
     length minus the robot's own. The front would be a poor criterion: a swinging link reaches metres ahead of a robot
-    that stays in place. A robot that is wider than the tank does not cross it. One that is higher than its walls may:
-    the tank is open at the top.
+    that stays in place. A robot that is wider than the tank does not cross it.
 
     Args:
         designs: n_designs designs.
@@ -148,32 +146,15 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
     assert rollouts.trace is not None and n_settle > 0
     trace = rollouts.trace[:, n_settle - 1 :].astype(np.float64)
     cos, sin = np.abs(np.cos(trace[:, 0, :, 2])), np.abs(np.sin(trace[:, 0, :, 2]))
-    long, short = designs.length_scale, 1 / designs.length_scale
-    length = _extent(trace[:, 0, :, 0], (sin * long + cos * short) / 2)
-    height = _extent(trace[:, 0, :, 1], (cos * long + sin * short) / 2)
+    half, middle = (sin * designs.length_scale + cos / designs.length_scale) / 2, trace[:, 0, :, 0]
+    length = (middle + half).max(axis=1) - (middle - half).min(axis=1)
     centre = trace[..., 0].mean(axis=2)  # every link has the same mass
     travelled, distance = centre - centre[:, :1], tank.simulated_length - length
     passes = (distance > 0) & (tank.robot_width <= tank.width)
     beyond = passes[:, None] & (travelled >= distance[:, None])
     crossed = beyond.any(axis=1)
     last = np.where(crossed, beyond.argmax(axis=1), travelled.shape[1] - 1)
-    return Crossings(length, height, travelled[np.arange(len(last)), last], crossed)
-
-
-def _extent(middle: Float64, half: Float64) -> Float64:
-    """Return (n_designs,) extents of robots whose links reach ``half`` to either side of their middles [m]."""
-    extent: Float64 = (middle + half).max(axis=1) - (middle - half).min(axis=1)
-    return extent
-
-
-def misfit(length: float, height: float, tank: Tank) -> str:
-    """Say in which dimensions [m] a settled robot does not fit: "too wide and too high", "" if it fits."""
-    exceeded = {
-        "long": length >= tank.simulated_length,
-        "wide": tank.robot_width > tank.width,
-        "high": height * tank.scale > tank.height,
-    }
-    return " and ".join(f"too {words}" for words, is_so in exceeded.items() if is_so)
+    return Crossings(length, travelled[np.arange(len(last)), last], crossed)
 
 
 def nearest_the_mean(scores: Float64) -> int | None:

@@ -6,7 +6,6 @@
   variance between them counts in full for the paper.
 - The statement that single members vary more agrees if the whole interval of the ratio is above 1. Deviations are from
   the replicate's mean, because the paper has one replicate.
-- A range over members agrees if it contains the interval of this run's median member.
 - Statements about t tests are comparisons of two arms (tasks/analysis/comparison.py), by Welch's test in place of
   Student's. "No difference" agrees if the difference is shown to be negligible. "Less" and "greater" agree if it has
   that direction and p < 0.05, corrected by Holm's procedure over all statements.
@@ -20,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import scipy
 from numpy.random import Generator
 
@@ -40,7 +40,7 @@ from tasks.analysis.estimates import (
 from tasks.analysis.paper import BEST, DEPTH, N_ASSESSED, N_TRIALS, Figure
 from tasks.analysis.registry import StudyData, analysis, column
 from tasks.analysis.scores import ScoredArm, ScoredTrial, arm_name, sample
-from tasks.analysis.tables.regressions import Accuracy, accuracy_of
+from tasks.analysis.tables.regressions import regressions_of
 
 _FIGURE: Mapping[Figure, str] = {"r": "Pearson's R", "slope": "slope"}
 
@@ -85,11 +85,10 @@ def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
 )
 def paper(study: StudyData) -> list[PaperRow]:
     """Compare every number and statement of the paper that this run measured."""
-    trials, rng, settings = study.trials, study.rng("paper"), study.settings
+    trials, settings = study.trials, study.settings
     at_depth = settings.data_sets and settings.assessed_depth == DEPTH
-    accuracy = accuracy_of(study, settings.data_sets[0]) if at_depth else None
-    numbers = [*_means(trials), *_ratios(trials, rng), *_variation(trials)]
-    return [*numbers, *(_figures(accuracy) if accuracy else ()), *_statements(trials)]
+    numbers = [*_means(trials), *_ratios(trials, study.rng("paper")), *_variation(trials)]
+    return [*numbers, *(_figures(study) if at_depth else ()), *_statements(trials)]
 
 
 def _name(arm: ScoredArm) -> str:
@@ -132,27 +131,18 @@ def _variation(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     yield PaperRow("number", what, "above 1", this_run, "the interval, above 1", verdict, found, None, source)
 
 
-def _figures(accuracy: Accuracy) -> Iterator[PaperRow]:
-    """Compare the ranges of R and slope over the members, and those of the aggregates."""
-    form = "{:z.2f}"
-    for figure, (low, high, source) in stated.RANGES.items():
-        median = accuracy.medians[figure]
-        of_members = [getattr(row, figure).value for row in accuracy.regressions if row.name.startswith("member ")]
-        known = [value for value in of_members if value is not None]
-        if known and median.value is not None:
-            this_run = f"{form.format(min(known))} to {form.format(max(known))}"
-            within = f"{form.format(low)} to {form.format(high)}"
-            decides = f"median member {written(median, form)}, within {within}"
-            what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
-            yield PaperRow("number", what, within, this_run, decides, judge(median, low, high), median, None, source)
-    wider = math.sqrt(
-        1 + accuracy.n_trials * accuracy.n_replicates / N_ASSESSED
-    )  # of R means, at least 1/R the variance
+def _figures(study: StudyData) -> Iterator[PaperRow]:
+    """Compare R and slope of the aggregates of the main ensemble's members."""
+    data_set = study.settings.data_sets[0]
+    assessed = study.assessed(data_set)
+    if assessed is None:
+        return
+    n_trials, n_replicates = len(np.unique(assessed.trial)), len(np.unique(assessed.replicate))
+    wider = math.sqrt(1 + n_trials * n_replicates / N_ASSESSED)  # R replicates' mean has at least 1/R of the variance
+    rows = {row.name: row for row in regressions_of(study, data_set)}
     for (predictor, figure), (value, source) in stated.AGGREGATES.items():
-        for row in accuracy.regressions:
-            if row.name == predictor:
-                what, bound = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m", stated.NEGLIGIBLE_FIGURE
-                yield from _number(what, value, form, source, getattr(row, figure), bound[figure], wider)
+        what, found = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m", getattr(rows[predictor], figure)
+        yield from _number(what, value, "{:z.2f}", source, found, stated.NEGLIGIBLE_FIGURE[figure], wider)
 
 
 def _number(

@@ -7,13 +7,12 @@ ensembles; their intervals are by pseudo-values, those of R on Fisher's scale, w
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, is_constant, of_means
-from tasks.analysis.paper import Figure
 from tasks.analysis.registry import Assessed, StudyData, analysis, column
 from tasks.arrays import Bools, Float64, Int64
 from tasks.evolution import Deviation, penalised_mean
@@ -47,16 +46,6 @@ class Regression:
     intercept: Estimate = column("intercept", "m", form="{:z.2f}", shown=False)
 
 
-@dataclass(frozen=True)
-class Accuracy:
-    """The regressions of an ensemble."""
-
-    regressions: Sequence[Regression]
-    medians: Mapping[Figure, Estimate]  # over its members
-    n_trials: int  # samples of the intervals
-    n_replicates: int
-
-
 def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
     """Return R and slope of the main ensemble."""
     main = [row for row in rows if row.learned_from == rows[0].learned_from]
@@ -78,14 +67,13 @@ def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
 )
 def regressions(study: StudyData) -> list[Regression]:
     """Assess the ensembles of all data sets."""
-    found = (accuracy_of(study, data_set) for data_set in study.settings.data_sets)
-    return [row for one in found if one is not None for row in one.regressions]
+    return [row for data_set in study.settings.data_sets for row in regressions_of(study, data_set)]
 
 
-def accuracy_of(study: StudyData, data_set: str) -> Accuracy | None:
-    """Assess the ensemble that learned from a data set, if any design was."""
+def regressions_of(study: StudyData, data_set: str) -> list[Regression]:
+    """Regress true displacement on every predictor of a data set's ensemble, with intervals from the same resamples."""
     assessed, rng = study.assessed(data_set), study.rng("accuracy", data_set)
-    return None if assessed is None else accuracy(assessed, data_set, study.settings.deviation, rng)
+    return [] if assessed is None else accuracy(assessed, data_set, study.settings.deviation, rng)
 
 
 def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64]:
@@ -94,8 +82,8 @@ def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64
     return {**{f"member {k}": row for k, row in enumerate(predicted)}, MEAN: predicted.mean(axis=0), CAUTIOUS: cautious}
 
 
-def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.random.Generator) -> Accuracy:
-    """Regress true displacement on every predictor, with intervals from the same resamples."""
+def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.random.Generator) -> list[Regression]:
+    """Assess the ensemble that learned from a data set."""
     predictors, y = predictors_of(assessed.predicted, deviation), assessed.true
     moments, lines = list[Float64](), dict[str, Callable[[Float64], Float64]]()
     for name, x in predictors.items():
@@ -104,31 +92,21 @@ def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.rando
             rows, lines[name] = _moments(x, y, used)
             moments.append(rows)
     trials, first, trial = np.unique(assessed.trial, return_index=True, return_inverse=True)
-    members = [i for i, name in enumerate(lines) if name.startswith("member ")]
 
     def figures(means: Float64) -> Float64:
-        """Return R, slope and intercept of each predictor, then the medians of R and slope over the members."""
+        """Return R, slope and intercept of each predictor in turn."""
         parts = np.split(means, len(lines), axis=-1)
-        found = np.stack([line(part) for line, part in zip(lines.values(), parts, strict=True)], axis=-2)
-        medians = [np.median(found[..., members, :2], axis=-2)] if members else []
-        return np.concatenate([found.reshape(*found.shape[:-2], -1), *medians], axis=-1)
+        return np.concatenate([line(part) for line, part in zip(lines.values(), parts, strict=True)], axis=-1)
 
-    estimates: Sequence[Estimate] = ()
-    replicate = assessed.replicate[first]
+    found: dict[str, Sequence[Estimate]] = {}
     if lines:
         sums = np.zeros((len(trials), 6 * len(lines)))
         np.add.at(sums, trial, np.concatenate(moments, axis=1))
-        is_r = np.array([True, False, False] * len(lines) + [True, False] * bool(members))
-        estimates = _estimated(figures, sums, replicate, is_r, rng)
-    of_fit = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(lines)}
-    r_of_members, slope_of_members = estimates[3 * len(lines) :] or (MISSING, MISSING)
+        estimates = _estimated(figures, sums, assessed.replicate[first], rng)
+        found = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(lines)}
     spread = not is_constant(y[np.isfinite(y)], resolution=RESOLUTION)
-    found = []
-    for name in predictors:
-        r, slope, intercept = of_fit.get(name, (MISSING,) * 3)
-        found.append(Regression(group, name, r if spread else MISSING, slope, intercept))
-    medians: dict[Figure, Estimate] = {"r": r_of_members, "slope": slope_of_members}
-    return Accuracy(found, medians, len(trials), max(len(np.unique(replicate)), 1))
+    of_all = {name: found.get(name, (MISSING,) * 3) for name in predictors}
+    return [Regression(group, name, r if spread else MISSING, *line) for name, (r, *line) in of_all.items()]
 
 
 def _moments(x: Float64, y: Float64, used: Bools) -> tuple[Float64, Callable[[Float64], Float64]]:
@@ -153,16 +131,17 @@ def _moments(x: Float64, y: Float64, used: Bools) -> tuple[Float64, Callable[[Fl
 
 
 def _estimated(
-    figures: Callable[[Float64], Float64], rows: Float64, replicate: Int64, is_r: Bools, rng: np.random.Generator
+    figures: Callable[[Float64], Float64], rows: Float64, replicate: Int64, rng: np.random.Generator
 ) -> Sequence[Estimate]:
     if len(np.unique(replicate)) < 2:
         return bootstrap(figures, rows, rng=rng)
 
     def on_fishers_scale(means: Float64) -> Float64:
         found = figures(means)
-        return np.where(is_r, np.arctanh(np.clip(found, -_HIGHEST_R, _HIGHEST_R)), found)
+        found[..., ::3] = np.arctanh(np.clip(found[..., ::3], -_HIGHEST_R, _HIGHEST_R))
+        return found
 
     return [
-        Estimate(*(end if end is None else math.tanh(end) for end in astuple(one))) if r else one
-        for one, r in zip(of_means(on_fishers_scale, rows, replicate), is_r, strict=True)
+        Estimate(*(end if end is None else math.tanh(end) for end in astuple(one))) if i % 3 == 0 else one
+        for i, one in enumerate(of_means(on_fishers_scale, rows, replicate))
     ]

@@ -6,18 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.analysis.registry import OfTrial, StudyData, analysis, column
-from tasks.analysis.tank import (
-    Crossings,
-    Tank,
-    TankTrials,
-    count_crossings,
-    crossings,
-    misfit,
-    nearest_the_mean,
-    restarted,
-)
+from tasks.analysis.tank import Crossings, Tank, TankTrials, count_crossings, crossings, nearest_the_mean, restarted
 from tasks.design import Designs
-from tasks.design.genes import concatenate
 from tasks.world import DryLand, Environment, Physics
 
 _TRIALS_AT_ONCE = 16  # trials whose traces are in memory at the same time: 35,000 steps of one are 5 MB
@@ -34,10 +24,7 @@ class TankRow(OfTrial):
 
     proposed: bool = column("to build", form=lambda chosen: "✓" if chosen else "", meaning="Nearest to the mean.")
     zero_shot: float | None = column("zero-shot", "m", meaning="Displacement in the target, at its own depth.")
-    dry_land: float | None = column("Dry Land", "m", meaning="The same on Dry Land, for as long.")
     length_cm: float | None = column("length", "cm", form="{:.0f}", meaning="As built, settled in the filled tank.")
-    height_cm: float | None = column("height", "cm", form="{:.0f}")
-    misfit: str = column("fit", form=lambda why: why or "fits", meaning="Why it does not fit into the tank.")
     wet_trials: TankTrials = column("in the tank", form=written_trials)
     dry_trials: TankTrials = column("on the dry floor", form=written_trials)
     dry_servo_trials: TankTrials = column("with the servo's torque", form=written_trials)
@@ -67,13 +54,11 @@ def _metrics(rows: Sequence[TankRow]) -> dict[str, float | None]:
     cost=200,
 )
 def tank(study: StudyData) -> list[TankRow]:
-    """Simulate the champions of one arm on Dry Land and in the tank, and propose one of them for building."""
+    """Simulate the champions of one arm in the tank, and propose one of them for building."""
     champions, tank, physics = study.champions, study.settings.tank, study.settings.physics
     if tank is None or not champions:
         return []
     chosen = nearest_the_mean(np.array([champion.zero_shot for champion in champions]))
-    designs = concatenate([champion.design for champion in champions])
-    on_land = study.simulate(DryLand(depth=champions[0].depth), designs).displacement
     with_servo = physics.model_copy(update={"max_motor_torque": tank.simulated_servo_torque(physics.link_density)})
     filled, drained = study.at_target(tank.simulated_depth), DryLand(depth=0.0)
     tests: tuple[tuple[Environment, Physics], ...] = ((filled, physics), (drained, physics), (drained, with_servo))
@@ -82,7 +67,6 @@ def tank(study: StudyData) -> list[TankRow]:
         rng = study.rng("tank", champion.environment, champion.depth, champion.trial)
         tries = restarted(champion.design, tank.n_trials, rng)
         found = [_in_tank(study, tank, at, under, tries) for at, under in tests]
-        length, height = found[0].length[0], found[0].height[0]
         rows.append(
             TankRow(
                 champion.environment,
@@ -90,10 +74,7 @@ def tank(study: StudyData) -> list[TankRow]:
                 champion.trial,
                 i == chosen,
                 _known(champion.zero_shot),
-                _known(on_land[i]),
-                _known(100 * tank.scale * length),
-                _known(100 * tank.scale * height),
-                misfit(length, height, tank) or misfit(found[1].length[0], found[1].height[0], tank),
+                _known(100 * tank.scale * found[0].length[0]),
                 *(count_crossings(trials, tank) for trials in found),
             )
         )

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.analysis.estimates import Estimate, Mean, Sample, mean_of, ratio, sample_of, sum_of_means
-from tasks.analysis.registry import Champion, OfArm, StudyData, analysis, column, percent
+from tasks.analysis.estimates import Estimate, Mean, mean_of, sample_of, sum_of_means
+from tasks.analysis.registry import Champion, OfArm, StudyData, analysis, column
 from tasks.analysis.scores import arms
 from tasks.arrays import Float64
 from tasks.design import Designs, concatenate, jittered
@@ -27,7 +27,6 @@ class LuckRow(OfArm):
     one: Mean = column("one start", "m", meaning="Zero-shot, as in every other table.")
     again: Mean = column(f"{N_STARTS} starts", "m", meaning="Mean over starts that differ by 1 mm and 1 mrad a joint.")
     luck: Estimate = column("luck", "m", form="{:z.2f}", meaning="One start minus the mean over many.")
-    share: Estimate = column("share", form=percent, meaning=f"{N_STARTS} starts of either.")
 
 
 @analysis(
@@ -41,21 +40,13 @@ class LuckRow(OfArm):
 def luck(study: StudyData) -> list[LuckRow]:
     """Score the champions again, arm by arm, the greatest depth first."""
     replicate = {(one.environment, one.depth, one.trial): one.replicate for one in study.trials}
-    scored: dict[tuple[str, float], tuple[Sample, Sample]] = {}  # from one start, and over all starts
+    rows = []
     for arm in arms(study.trials):
         own = [champion for champion in study.champions if (champion.environment, champion.depth) == arm]
-        one, many = np.array([champion.zero_shot for champion in own]), scored_again(study, own)
+        one, again = np.array([champion.zero_shot for champion in own]), scored_again(study, own)
         of = np.array([replicate[champion.environment, champion.depth, champion.trial] for champion in own], np.int64)
-        known = np.isfinite(one) & np.isfinite(many)
-        scored[arm] = sample_of(one[known], of[known]), sample_of(many[known], of[known])
-    rows = []
-    for arm, (first, again) in scored.items():
-        lost = share = Estimate(None)
-        if len(again):
-            lost = sum_of_means(Sample(first.values - again.values, first.replicate))
-            if best := scored.get((study.target, arm[1])):
-                share = ratio(again, best[1], rng=study.rng("luck", *arm))
-        rows.append(LuckRow(*arm, len(again), mean_of(first.values), mean_of(again.values), lost, share))
+        lost, known = sample_of(one - again, of), np.isfinite(one) & np.isfinite(again)
+        rows.append(LuckRow(*arm, len(lost), mean_of(one[known]), mean_of(again[known]), sum_of_means(lost)))
     return rows
 
 

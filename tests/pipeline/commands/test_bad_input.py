@@ -49,8 +49,7 @@ def words_of(html: str) -> str:
 def check_figures(html: str, *missing: str) -> None:
     """Every figure is there, but for some, and for those of several depths."""
     drawn = {name for name in FIGURES if f'<figure id="{name}">' in html}
-    inline = {name for name, figure in FIGURES.items() if figure.inline}
-    assert drawn == inline - {"transfer_across_depths", *missing}
+    assert drawn == FIGURES.keys() - {"transfer_across_depths", *missing}
 
 
 def test_a_single_trial_has_no_intervals_and_no_tests(page_of):

@@ -86,13 +86,6 @@ def test_two_arms_of_a_study_are_compared_in_every_kind_of_file(root, tmp_path, 
     assert listed["difference"] == row.difference.value and listed["p"] == row.p
 
 
-def test_trials_of_networks_have_the_replicates_of_their_study(settings, root):
-    add_study(root, changed(settings, "name=replicated", "replicates=2"))
-    rows = compare_studies(*(open_study(name, root) for name in ("replicated", "other"))).rows
-    learned = ("residual_slush", "single_member")
-    assert {(row.a.split("/")[0] in learned, row.n_replicates) for row in rows} == {(True, 2), (False, 1)}
-
-
 def test_the_page_holds_settings_and_tests_and_loads_nothing(page):
     html = page.read_text()
     words = " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<style.*?</style>", " ", html, flags=re.DOTALL)).split())

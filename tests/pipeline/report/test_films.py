@@ -10,26 +10,31 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
-from pipeline.report.camera import FILM_FPS, LANE_HEIGHT, PICTURE_WIDTH
-from pipeline.report.films import GIF_EVERY, pictures, render_gif, render_mp4
-from pipeline.report.palette import LOOKS
-from pipeline.report.robot_view import (
-    GROUND_EDGE,
-    GROUND_FILL,
+from pipeline.report.films import (
+    GIF_EVERY,
+    GROUND,
+    LANE_HEIGHT,
+    PICTURE_WIDTH,
     SKY,
     SLUSH,
-    SLUSH_OVER_ROBOT,
     SURFACE,
-    link_outline,
-    mix,
-    robot_colors,
+    pictures,
+    render_gif,
+    render_mp4,
 )
+from pipeline.report.palette import LOOKS
+from pipeline.report.replay import FILM_FPS, link_corners
 
 
-def count(picture, color):
+def count(picture, color, tolerance=0):
     """Count the pixels of a colour."""
     rgb = ImageColor.getrgb(color) if isinstance(color, str) else color
-    return int((np.asarray(picture.convert("RGB")) == rgb).all(axis=2).sum())
+    return int((np.abs(np.asarray(picture.convert("RGB")).astype(int) - rgb) <= tolerance).all(axis=2).sum())
+
+
+def blend(first, second, share):
+    """Mix two colours."""
+    return np.array(ImageColor.getrgb(first)) * (1 - share) + np.array(ImageColor.getrgb(second)) * share
 
 
 def rocking(replay):
@@ -46,40 +51,33 @@ def test_two_robots_above_one_another(slush_replay, dry_replay):
     assert picture.n_frames == int(slush_replay.duration * FILM_FPS / GIF_EVERY) + 1  # the longer of the two
     assert (picture.info["duration"], picture.info["loop"]) == (1000 * GIF_EVERY / FILM_FPS, 0)
     upper, lower = (picture.crop((0, top, PICTURE_WIDTH, top + LANE_HEIGHT)) for top in (0, LANE_HEIGHT))
-    assert count(upper, SLUSH) > 0.2 * PICTURE_WIDTH * LANE_HEIGHT and count(lower, SLUSH) == 0
-    assert count(lower, GROUND_FILL) > 0.05 * PICTURE_WIDTH * LANE_HEIGHT
-    assert count(upper, SKY) > 0 < count(lower, SKY) and count(lower, color) > 200
+    assert count(upper, SLUSH, 3) > 0.2 * PICTURE_WIDTH * LANE_HEIGHT and count(lower, SLUSH, 3) == 0
+    assert count(lower, GROUND, 3) > 0.05 * PICTURE_WIDTH * LANE_HEIGHT
+    assert count(upper, SKY, 3) > 0 < count(lower, SKY, 3) and count(lower, color, 9) > 200
 
 
-def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):
-    """A robot at rest, upright and half under slush; the start's line goes down behind it, to the ground."""
+def test_slush_lies_over_the_robot(slush_replay):
+    """A robot at rest, upright and half under slush."""
     frames = np.tile([0.0, 0.3, 0.0], (3, 6, 1))
-    still = replace(slush_replay, frames=frames, length_scale=np.full(6, 2.0), depth=1.5, color=LOOKS["dry_land"].color)
-    picture = next(pictures([still]))
-    colors = np.asarray(picture).astype(int)
-    root = robot_colors(still.color)[0]
-    veiled = np.abs(colors - mix(root, SLUSH, SLUSH_OVER_ROBOT)).max(axis=2) <= 1
-    assert count(picture, root) > 100 < veiled.sum()
-    below = colors[np.nonzero(veiled)[0].max() + 4 :, PICTURE_WIDTH // 2]
-    line = below[: np.argmax((np.abs(below - ImageColor.getrgb(GROUND_EDGE)) < 9).all(axis=1)) - 1]
-    assert len(line) > 15 and np.ptp(line, axis=0).max() <= 1
-    assert (np.abs(line - ImageColor.getrgb(SLUSH)).max(axis=1) > 20).all()
+    color = LOOKS["dry_land"].color
+    picture = next(pictures([replace(slush_replay, frames=frames, length_scale=np.full(6, 2.0), color=color)]))
+    assert count(picture, color) > 100 < count(picture, blend(color, SLUSH, 0.45), 2)
 
 
 def test_hallucinated_slush_has_a_dashed_surface(slush_replay):
-    """Dashes of 10 pixels in 16."""
+    """Dashes of 4 line widths in 7."""
     real, hallucinated = (
-        count(next(pictures([replace(slush_replay, surroundings=filling)])), SURFACE)
+        count(next(pictures([replace(slush_replay, surroundings=filling)])), SURFACE, 9)
         for filling in ("medium", "hallucinated medium")
     )
-    assert real >= PICTURE_WIDTH and hallucinated / real == pytest.approx(10 / 16, abs=0.05)
+    assert real >= 0.8 * PICTURE_WIDTH and hallucinated / real == pytest.approx(4 / 7, abs=0.1)
 
 
 def test_the_camera_keeps_a_robot_in_view_however_far_and_high_it_goes(dry_replay):
     frames = dry_replay.frames + np.linspace([0.0, 0.0, 0.0], [200.0, 60.0, 0.0], len(dry_replay.frames))[:, None]
-    *_, last = pictures([replace(dry_replay, frames=frames, environment="", title="<b>Ê′ – 日本</b>" * 9)])
-    body, (root, others, _) = last.crop((0, 50, PICTURE_WIDTH, LANE_HEIGHT)), robot_colors(dry_replay.color)
-    assert count(body, root) + count(body, others) > 100
+    *_, last = pictures([replace(dry_replay, frames=frames, environment="", title="<b>Ê′ – Ẽ</b>" * 9)])
+    body, color = last.crop((0, 50, PICTURE_WIDTH, LANE_HEIGHT)), dry_replay.color
+    assert count(body, color) + count(body, blend(color, "#ffffff", 0.28), 2) > 100
 
 
 def test_no_distance_is_cut_at_the_edge(slush_replay):
@@ -88,15 +86,15 @@ def test_no_distance_is_cut_at_the_edge(slush_replay):
     frames[:, :, 0] += np.linspace(0, 6, 180)[:, None]
     labels, edges, drawn = 0, 0, list(pictures([replace(slush_replay, frames=frames)], every=3))
     for picture in drawn:
-        dark = np.asarray(picture)[LANE_HEIGHT - 20 : LANE_HEIGHT - 9].astype(int).sum(axis=2) < 300
+        dark = np.asarray(picture)[LANE_HEIGHT - 28 : LANE_HEIGHT - 12].astype(int).sum(axis=2) < 300
         labels, edges = labels + dark.sum(), edges + dark[:, (0, 1, -2, -1)].sum()
     assert labels > 100 * len(drawn) and edges == 0
 
 
-def test_outline_of_a_link_that_lies_on_its_side():
+def test_corners_of_a_link_that_lies_on_its_side():
     """A link of length 2 is 0.5 wide; turned by 90° its long axis lies along x."""
-    outline = link_outline(np.array([3.0, 1.0, np.pi / 2]), np.array(2.0))
-    assert outline.min(axis=0) == pytest.approx([2.0, 0.75]) and outline.max(axis=0) == pytest.approx([4.0, 1.25])
+    corners = link_corners(np.array([3.0, 1.0, np.pi / 2]), np.array(2.0))
+    assert corners.min(axis=0) == pytest.approx([2.0, 0.75]) and corners.max(axis=0) == pytest.approx([4.0, 1.25])
 
 
 def test_films_of_twenty_seconds_stay_small(slush_replay, dry_replay):

