@@ -5,7 +5,7 @@ below. Every value that comes from a study is escaped.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -27,7 +27,6 @@ from pipeline.store.tables import csv_of, described, text
 from tasks.analysis import paper
 from tasks.analysis.registry import Analysis, Assessed, percent
 from tasks.analysis.tables import ANALYSES
-from tasks.analysis.tables.transfer import TransferRow
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
 from tasks.world import environment_kind
 
@@ -81,7 +80,7 @@ class PageFigure:
 FIGURES: Mapping[str, PageFigure] = {
     "transfer_at_depth": PageFigure(
         "Transfer at the greatest depth",
-        "transfer",
+        "top",
         "Displacement in {target}, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and single "
         "trials as points.",
         lambda page: transfer_figures.transfer_at_depth(
@@ -121,11 +120,7 @@ FIGURES: Mapping[str, PageFigure] = {
 
 def draw_all(page: StudyPage) -> dict[str, Drawing]:
     """Draw the figures for which a study has data, by name."""
-    several = len(page.settings.grid.depths) > 1
-    skipped = "transfer_at_depth" if several else "transfer_across_depths"
-    made = {
-        name: finish(name, one.title, partial(_drawn, one, page)) for name, one in FIGURES.items() if name != skipped
-    }
+    made = {name: finish(name, one.title, partial(_drawn, one, page)) for name, one in FIGURES.items()}
     return {name: drawing for name, drawing in made.items() if isinstance(drawing, Drawing)}
 
 
@@ -137,14 +132,21 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
     """Write the page of a study."""
     settings = page.settings
     objective = OBJECTIVES[settings.evolution.objective]
-    deepest = [row for row in page.rows("transfer") if row.zero_shot.value is not None]
-    depth = max((row.depth for row in deepest), default=None)
+    depth = max((row.depth for row in page.rows("transfer") if row.zero_shot.value is not None), default=None)
+    known = {replay.robot for replay in page.replays}
+
+    def html(one: Analysis, rows: Sequence[Any], depth: float | None) -> Markup:
+        without = ("depth",) if depth is not None else ()
+        return as_html(one.row, rows, one.answers, address=partial(_address, known), without=without)
+
     body = TEMPLATES.get_template("page.html").render(
         page=page,
         settings=settings,
         scale=scale_words(settings),
         depth=depth,
-        bars=_bars(settings, [row for row in deepest if row.depth == depth]),
+        deepest=[row for row in page.rows("transfer") if row.depth == depth and row.zero_shot.value is not None],
+        singles={name for name, learner in settings.arm_learners.items() if learner.is_single},
+        kind_of=environment_kind,
         arms=[environment_kind(name) for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
         objective=None if objective.name == PAPERS_OBJECTIVE else f"{settings.selected_for} [{objective.unit}]",
         seconds=settings.rollout.n_measure * settings.physics.time_step,
@@ -153,7 +155,7 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         figures=[(one, drawings[name]) for name, one in FIGURES.items() if name in drawings],
         settings_yaml=yaml.safe_dump(settings.model_dump(mode="json", exclude={"work"}), sort_keys=False),
         shown=_shown,
-        html=partial(_html, _address(page.replays)),
+        html=html,
         svg=inline_svg,
         percent=lambda share: typeset(percent(share)),
         number=lambda value: typeset(f"{value:z.1f}"),
@@ -161,10 +163,6 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
     )
     title = f"Robots evolved for {page.target}: {settings.name}"
     return document(title=title, policy=_POLICY, body=body, css=arms_css(page.looks))
-
-
-def _html(address: Callable[[Any], str], one: Analysis, rows: Sequence[Any], depth: float | None) -> Markup:
-    return as_html(one.row, rows, one.answers, address=address, without=("depth",) if depth is not None else ())
 
 
 def tables_of(tables: Mapping[str, Sequence[Any]]) -> dict[str, bytes]:
@@ -192,16 +190,10 @@ def _shown(one: Analysis, rows: Sequence[Any]) -> list[tuple[float | None, list[
     return sorted(groups.items(), key=lambda group: -(group[0] or 0.0))
 
 
-def _address(replays: Sequence[Replay]) -> Callable[[Any], str]:
-    known = {replay.robot for replay in replays}
-
-    def address(row: Any) -> str:
-        if not hasattr(row, "trial"):
-            return ""
-        name = robot_address(row.environment, row.depth, row.trial)
-        return name if name in known else ""
-
-    return address
+def _address(known: Collection[str], row: Any) -> str:
+    """Return the address of a row's robot on the page, if it is there."""
+    name = robot_address(row.environment, row.depth, row.trial) if hasattr(row, "trial") else ""
+    return name if name in known else ""
 
 
 def robot_address(environment: str, depth: float, trial: int) -> str:
@@ -217,31 +209,6 @@ def scale_words(settings: Settings) -> str:
         return ""
     advice = "compare shares, not metres" if share < 500 else "the figures mean nothing"
     return f"1/{share:,.0f} of the paper’s evolution: {advice}"
-
-
-def _bars(settings: Settings, rows: Sequence[TransferRow]) -> list[dict[str, Any]]:
-    """Place a bar for each environment, with a mark for the paper's mean [% of the width]."""
-    stated = {row.environment: row.paper_zero_shot for row in rows}
-    means = {row.environment: row.zero_shot.value or 0.0 for row in rows}
-    values = [0.0, *means.values(), *(mean for mean in stated.values() if mean is not None)]
-    low, span = min(values), max(max(values) - min(values), 1e-9)
-
-    def at(value: float) -> float:
-        return 100 * (value - low) / span
-
-    return [
-        {
-            "kind": environment_kind(row.environment),
-            "single": (learner := settings.learner(row.environment)) is not None and learner.is_single,
-            "mean": means[row.environment],
-            "share": row.zero_shot_share,
-            "left": at(min(means[row.environment], 0.0)),
-            "width": abs(at(means[row.environment]) - at(0.0)),
-            "stated": stated[row.environment],
-            "mark": None if (mean := stated[row.environment]) is None else at(mean),
-        }
-        for row in rows
-    ]
 
 
 def heroes(replays: Sequence[Replay]) -> list[tuple[int, Replay]]:
