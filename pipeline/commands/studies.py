@@ -115,9 +115,8 @@ def compare(
 
     Each arm is compared with the same arm at every depth: the difference A - B, its interval, and a verdict.
     """
-    from pipeline.report.comparison_page import SAID_ABOVE, SUFFIXES, written_comparison
     from pipeline.report.render import as_text
-    from pipeline.results.comparisons import compare_arms, compare_studies
+    from pipeline.results.comparisons import SAID_ABOVE, SUFFIXES, compare_arms, compare_studies, written_comparison
     from tasks.analysis.comparison import VERDICTS, Comparison
 
     if (b is None) == (arms is None):

@@ -1,17 +1,35 @@
-"""The comparison of two recorded studies, or of two arms of one."""
+"""The comparison of two recorded studies, or of two arms of one, and the file that `puddle compare` writes of it."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from pipeline.errors import PuddleError
-from pipeline.report.comparison_page import Compared
+from pipeline.report.document import TEMPLATES, document
+from pipeline.report.render import WRITERS, as_html
 from pipeline.results.recorded_study import Study
 from pipeline.workflow.record import setting_changes
-from tasks.analysis.comparison import compare
+from tasks.analysis.comparison import Comparison, compare
 from tasks.analysis.scores import QUANTITIES, arms
 from tasks.world import environment_kind, in_order
 from tasks.world.registry import settings_groups
 
 _OF_DISPLACEMENT = ("physics", "target", *settings_groups(), "rollout")  # settings that decide what a displacement is
+
+SUFFIXES = (".html", *WRITERS)
+SAID_ABOVE = ("b",)  # column that a heading makes superfluous: B is the same study or arm in every row
+
+
+@dataclass(frozen=True)
+class Compared:
+    """The rows of a comparison, and what a reader has to know of it."""
+
+    title: str
+    a: str  # what A is
+    b: str  # what B is, the reference
+    changes: Sequence[tuple[str, str, str]]  # settings that differ: name, value in A, value in B
+    rows: Sequence[Comparison]
+    caution: str = ""
 
 
 def compare_arms(study: Study, a: str, b: str) -> Compared:
@@ -55,3 +73,12 @@ def compare_studies(a: Study, b: Study) -> Compared:
     physical = [name for name, _, _ in changes if name.split(".")[0] in _OF_DISPLACEMENT]
     caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
     return Compared(f"{a.name} against {b.name}", f"study {a.name}", f"study {b.name}", changes, rows, caution)
+
+
+def written_comparison(compared: Compared, suffix: str) -> str:
+    """Return the content of a file that ends in one of SUFFIXES: a page, or the table alone."""
+    if suffix in WRITERS:
+        return WRITERS[suffix](Comparison, compared.rows, compared.title)
+    table = as_html(Comparison, compared.rows, "Differences between A and B", without=SAID_ABOVE)
+    body = TEMPLATES.get_template("comparison.html").render(compared=compared, table=table)
+    return document(title=compared.title, policy="script-src 'none'", body=body)

@@ -4,23 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.config.settings import Settings
 from pipeline.report.page import robot_address
 from pipeline.report.palette import looks_of
 from pipeline.report.replay import Replay, Surroundings, at_frames, replay_of
-from pipeline.stages import environments
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.study_data import StudyFiles
 from pipeline.workflow.identity import arms_of
-from pipeline.workflow.stage import Execution
 from tasks.analysis.hallucination import disagreement
 from tasks.analysis.registry import Champion
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.simulation import Rollouts
-from tasks.world import DryLand, EnsembleMedium, Environment, EnvironmentName, environment_kind
-
-_MOST_SECONDS_IN_TANK = 60.0  # limit on the replays of the tank [s]
+from tasks.world import EnsembleMedium, Environment, EnvironmentName, environment_kind
 
 
 def replays_of(study: StudyFiles) -> list[Replay]:
@@ -157,22 +152,3 @@ def median_member(values: Float64) -> int:
     """Return the member with the median of (n_members,) values, the lower of two; non-finite values are ignored."""
     ranked = np.argsort(values, kind="stable")  # NaN, for a rollout that diverged, comes last
     return int(ranked[max(int(np.isfinite(values).sum()) - 1, 0) // 2])
-
-
-def tank_replays(settings: Settings, champion: Champion, execution: Execution) -> list[Replay]:
-    """Return replays of a proposed champion in the tank and on its dry floor, without those that diverged."""
-    assert settings.tank is not None
-    tank, simulation = settings.tank, environments.simulation_spec(settings, settings.target)
-    time_step, evolved = settings.physics.time_step, environment_kind(champion.environment).evolved
-    n_measure = min(tank.n_steps(time_step), round(_MOST_SECONDS_IN_TANK / time_step))
-    simulation = replace(simulation, rollout=simulation.rollout.model_copy(update={"n_measure": n_measure}))
-    filled = environments.build_environment(simulation.media, settings.target, tank.simulated_depth, {})
-    replays = []
-    drained = DryLand(depth=0.0)
-    for name, at, words in ((settings.target, filled, "the tank"), ("dry_land", drained, "the drained tank")):
-        rollouts = environments.roll_out(simulation, execution, at, champion.design, trace=True)
-        title = f"To build: evolved {evolved}, trial {champion.trial}, in {words}"
-        replay = replay_in(champion.design, rollouts, name, at, simulation, title=title, ensemble=None)
-        if replay is not None:
-            replays.append(replace(replay, seen_in=words, depth=round(at.depth, 2), in_target=at is filled))
-    return replays

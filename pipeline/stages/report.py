@@ -17,7 +17,7 @@ from pipeline.stages.analyse import read_tables
 from pipeline.stages.assess import ASSESSED, AssessmentId, read_predictions
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import DataSetId, data_sets
-from pipeline.stages.replays import best_replays, replays_of, tank_replays
+from pipeline.stages.replays import best_replays, replays_of
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.stages.transfer import SCORED
 from pipeline.stages.trial_scores import SCORE, decode_scores
@@ -158,7 +158,7 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
 
     settings = spec.settings
     study = StudyFiles(data_spec(settings, trials_of(settings, "transfer")), execution, inputs)
-    page = _study_page(spec, inputs, study, with_replays=True)
+    page = replace(_study_page(spec, inputs, study), replays=replays_of(study))
     drawings = draw_all(page)
     files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables)}
     for champion in study.champions:
@@ -176,11 +176,11 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     return files
 
 
-def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles, *, with_replays: bool) -> StudyPage:
+def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles) -> StudyPage:
     settings, evolved = spec.settings, _curves(EVOLUTION, inputs)
     analysed = {name.chain: files for name, files in inputs.items() if name.role == ANALYSED}
     tables = read_tables({part: files for part, files in analysed.items() if isinstance(part, OutputId)})
-    page = StudyPage(
+    return StudyPage(
         settings=settings,
         tables=tables,
         curves=_by_arm(evolved),
@@ -193,12 +193,6 @@ def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles, *, with_r
         not_possible=spec.not_possible,
         diverged=_diverged(settings, inputs, evolved),
     )
-    if not with_replays:
-        return page
-    in_tank = [
-        replay for champion in _proposed(page, study) for replay in tank_replays(settings, champion, study.execution)
-    ]
-    return replace(page, replays=[*replays_of(study), *in_tank])
 
 
 def _proposed(page: StudyPage, study: StudyFiles) -> list[Champion]:
@@ -213,7 +207,7 @@ def read_page(settings: Settings, upstream: Upstream, store: Store) -> StudyPage
     assert isinstance(item.spec, PageItemSpec)
     inputs = {name: source.read(store) for name, source in item.inputs.items()}
     study = StudyFiles(data_spec(settings, trials_of(settings, "transfer")), item.execution, inputs)
-    return _study_page(item.spec, inputs, study, with_replays=False)
+    return _study_page(item.spec, inputs, study)
 
 
 def _curves(role: str, inputs: Inputs) -> dict[ChainId, Columns]:
