@@ -1,8 +1,7 @@
 """The scores of a trial's champion, and the file in which the stage transfer writes them for later stages."""
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 from pipeline.stages.data_sets import replicate_of
 from pipeline.store.encoding import decode_json, encode_json
@@ -62,5 +61,6 @@ def scored_trial(trial: TrialId, files: Files | None) -> ScoredTrial:
     scores = decode_scores(files[SCORE], trial.label)
     if scores is None:
         return ScoredTrial(*identity, status="no champion")
-    known: dict[str, Any] = {name: math.nan if value is None else value for name, value in scores.by_name().items()}
-    return replace(ScoredTrial(*identity, status="ok"), **known)
+    names = ("fitness", "predicted", "predicted_sd", "zero_shot", "adapted")
+    known = {name: math.nan if (value := getattr(scores, name)) is None else value for name in names}
+    return ScoredTrial(*identity, status="ok", **known)

@@ -37,9 +37,7 @@ class ScoredTrial(OfTrial):
         "σ", "m", default=math.nan, meaning="Standard deviation over the members of an ensemble."
     )
     zero_shot: float = column("zero-shot", "m", default=math.nan, meaning="Displacement of the root in the target.")
-    zero_shot_com: float = column("zero-shot CoM", "m", default=math.nan, shown=False, meaning="Of the centre of mass.")
     adapted: float = column("adapted", "m", default=math.nan, meaning="With a controller that evolved in the target.")
-    adapted_com: float = column("adapted CoM", "m", default=math.nan, shown=False, meaning="Of the centre of mass.")
     status: Literal["ok", "no champion", "not done"] = column(
         "status", form="{}", default="not done", meaning="ok, no champion (every design diverged), or not done."
     )

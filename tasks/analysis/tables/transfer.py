@@ -27,19 +27,16 @@ class TransferRow(OfArm):
     sigma: float | None = column("σ", "m", meaning="Mean deviation over the members of an ensemble.")
     fitness: float | None = column("μ − kσ", meaning="Mean of what evolution maximised, for an ensemble.")
     zero_shot: Mean = column("zero-shot", "m", meaning="Displacement of the root in the target, as it is.")
-    zero_shot_com: Mean = column("zero-shot CoM", "m", shown=False, meaning="Of the centre of mass.")
     zero_shot_share: float | None = column(
         "share", form=percent, meaning="Of the zero-shot displacement of designs evolved in the target."
     )
     adapted: Mean = column("adapted", "m", meaning="With a controller that evolved in the target.")
-    adapted_com: Mean = column("adapted CoM", "m", shown=False, meaning="Of the centre of mass.")
     adapted_share: float | None = column("share", form=percent)
-    adapted_share_of_adapted: float | None = column("share of adapted", form=percent, meaning="Both searched twice.")
     paper_zero_shot: float | None = column("paper", "m", meaning="The paper's mean over 10 trials, zero-shot.")
     paper_adapted: float | None = column("paper, adapted", "m", meaning="The same, adapted.")
 
 
-TOO_WIDE = ("n", "sigma", "fitness", "adapted_share_of_adapted", "paper_zero_shot", "paper_adapted")
+TOO_WIDE = ("n", "sigma", "fitness", "paper_zero_shot", "paper_adapted")
 """Columns without which the table fits a terminal."""
 
 
@@ -63,12 +60,9 @@ def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, pap
                 of_arm["predicted_sd"].value,
                 of_arm["fitness"].value if is_ensemble else None,
                 of_arm["zero_shot"],
-                of_arm["zero_shot_com"],
                 _share(of_arm["zero_shot"], best.get("zero_shot")),
                 of_arm["adapted"],
-                of_arm["adapted_com"],
                 _share(of_arm["adapted"], best.get("zero_shot")),
-                _share(of_arm["adapted"], best.get("adapted")),
                 papers_mean(environment, "zero_shot", depth) if papers else None,
                 papers_mean(environment, "adapted", depth) if papers else None,
             )
@@ -76,7 +70,7 @@ def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, pap
     return rows
 
 
-_AVERAGED = ("fitness", "predicted", "predicted_sd", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
+_AVERAGED = ("fitness", "predicted", "predicted_sd", "zero_shot", "adapted")
 
 
 def _share(part: Mean, whole: Mean | None) -> float | None:
