@@ -65,14 +65,6 @@ def test_no_request_leaves_the_file_and_the_console_is_clean(opened, page):
     assert opened.named("Log.entryAdded") == []
 
 
-def test_an_arm_has_its_colour_in_tables_too(opened):
-    """One arm has one colour, and two arms have two."""
-    shown = "e => e.parentElement.textContent + '|' + getComputedStyle(e).backgroundColor"
-    pairs = set(opened.evaluate(f"[...document.querySelectorAll('td .swatch')].map({shown})"))
-    arms, colors = ({pair.split("|")[side] for pair in pairs} for side in (0, 1))
-    assert len(arms) == len(colors) == len(pairs) > 1
-
-
 def click(browser: Browser, identity: str) -> None:
     browser.evaluate(f"document.getElementById('{identity}').click()")
 

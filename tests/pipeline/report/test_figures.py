@@ -92,12 +92,6 @@ def test_what_a_figure_says(drawn, name, words):
     assert set(words) <= set(texts(drawn[name]))
 
 
-def test_many_sizes_of_links_are_grouped(study, monkeypatch):
-    many = replace(study.throws, length_scale=np.linspace(1.0, 3.0, 9))
-    drawing = draw("data_set", replace(study, throws=many), monkeypatch)
-    assert {"1.0 to 1.7 m long, 3 throws", "2.3 to 3.0 m long, 3 throws"} <= set(texts(drawing))
-
-
 def test_a_study_that_has_only_begun_draws_nothing(study):
     assert draw_all(StudyPage(study.settings)) == {}
 

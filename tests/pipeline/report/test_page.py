@@ -14,8 +14,6 @@ import pytest
 from command_line import call
 
 from pipeline.report.page import StudyPage, draw_all, render_page, render_robot, scale_words, tables_of
-from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.transfer import transfer_rows
 from tasks.world import ENVIRONMENTS
 
 VOID = {"meta", "link", "br", "input", "img", "hr"}
@@ -132,13 +130,6 @@ def test_the_transfer_table_is_of_the_greatest_depth_and_others_fold(html):
     assert "At 1 other depth" in html[html.index('id="table-transfer"') :]
     there = [name for name, kind in ENVIRONMENTS.items() if f"<dd>{kind.about}" in unescape(html)]
     assert there == ["true_slush", "dry_land", "residual_slush", "single_member"]
-
-
-def test_a_diverged_champion_is_counted_out(study, drawn):
-    trials = [ScoredTrial("dry_land", 9.0, k, 0, zero_shot=z, status="ok") for k, z in enumerate((8.0, 10.0, np.nan))]
-    page = replace(study, tables={"transfer": transfer_rows(trials, "true_slush"), "scores": trials})
-    (row,) = cells(render_page(page, drawn), "transfer")
-    assert "9.0 ± 1.4" in row and "3" in row
 
 
 NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)> & \"'` $title {{ 7 * 7 }}"

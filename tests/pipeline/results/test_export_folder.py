@@ -15,9 +15,7 @@ from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.report import page
 from pipeline.results.export_folder import LARGE_TABLES
-from pipeline.results.study_tables import KEYS
 from pipeline.store.design_file import design_document, read_design
-from pipeline.store.store import Store
 from tasks.world import ENVIRONMENTS
 
 pytestmark = pytest.mark.usefixtures("one_figure")
@@ -85,14 +83,6 @@ def test_figures_and_latex_are_there_and_settings_load(exported, settings):
     assert manifest["study"] == "tiny" and set(manifest["files"]) == files(exported).keys() - {"export.json"}
 
 
-def test_histories_are_written_where_they_are_asked_for(recorded, tmp_path):
-    to = ("--out", str(tmp_path / "out"), "--store", str(recorded))
-    assert call("export", "tiny", *to, "--table", "histories") == 0
-    written = pl.read_parquet(tmp_path / "out" / "tables" / "histories.parquet")
-    assert written.equals(pl.from_arrow(puddle.open_study("tiny", recorded).table("histories")))
-    assert written.columns[:4] == [*KEYS, "generation"]
-
-
 def test_champions_are_models_of_mujoco_too(recorded, exported, tmp_path):
     to = ("--out", str(tmp_path / "out"), "--store", str(recorded))
     assert call("export", "tiny", *to, "--table", "champions", "--mjcf") == 0
@@ -104,27 +94,14 @@ def test_champions_are_models_of_mujoco_too(recorded, exported, tmp_path):
 
 def test_tables_can_be_chosen(recorded, exported, tmp_path, capsys):
     to = ("--out", str(tmp_path / "out"), "--store", str(recorded))
-    assert call("export", "tiny", *to, "--table", "champions", "--table", "scores", "--table", "scores") == 0
+    assert call("export", "tiny", *to, "--table", "histories", "--table", "scores", "--table", "scores") == 0
     assert "2 tables" in capsys.readouterr().out
     tables = {name for name in files(tmp_path / "out") if name.startswith("tables/")}
-    assert tables == {"tables/champions.parquet", "tables/scores.parquet", "tables/columns.csv"}
+    assert tables == {"tables/histories.parquet", "tables/scores.parquet", "tables/columns.csv"}
+    histories = pl.read_parquet(tmp_path / "out" / "tables" / "histories.parquet")
+    assert histories.equals(pl.from_arrow(puddle.open_study("tiny", recorded).table("histories")))
     assert files(tmp_path / "out").keys() - tables == files(exported).keys() - {
         name for name in files(exported) if name.startswith("tables/")
-    }
-
-
-def test_an_export_replaces_an_export_and_keeps_what_the_user_added(recorded, exported, tmp_path, capsys):
-    out = shutil.copytree(exported, tmp_path / "out")
-    (out / "notes.md").write_text("mine")
-    (out / "transfer.tex").write_text("edited")
-    (out / "tables" / "scores.parquet").unlink()
-    assert call("export", "tiny", "--out", str(out), "--store", str(recorded)) == 0
-    said = capsys.readouterr().out
-    assert "Preserved transfer.tex, which you had changed, as transfer-1.tex." in said
-    kept = {"notes.md": b"mine", "transfer-1.tex": b"edited"}
-    assert {name: data for name, data in files(out).items() if name != "export.json"} == {
-        **{name: data for name, data in files(exported).items() if name != "export.json"},
-        **kept,
     }
 
 
@@ -146,33 +123,8 @@ def test_a_table_that_the_study_does_not_have_is_refused(recorded, tmp_path, cap
     out = tmp_path / "out"
     said = refused(capsys, "export", "tiny", "--out", str(out), "--store", str(recorded), "--table", "history")
     assert "study tiny has no table history" in said and "champions, histories" in said and not out.exists()
-
-
-def test_folders_that_are_not_ours(recorded, tmp_path, capsys):
-    (tmp_path / "thesis").mkdir()
-    (tmp_path / "thesis" / "thesis.tex").write_text("mine")
-    (tmp_path / "file").write_text("")
-    before = files(tmp_path)
-    for out, message in (
-        (tmp_path / "thesis", "expected a new folder or an export, found no "),
-        (tmp_path / "file", "found a file"),
-        (tmp_path / "none" / "out", "found no "),
-        (recorded / "out", "outside the store"),
-    ):
-        assert message in refused(capsys, "export", "tiny", "--out", str(out), "--store", str(recorded))
-    assert files(tmp_path) == before and not (recorded / "out").exists()
-
-
-def test_a_damaged_item_leaves_the_earlier_export(store, exported, tmp_path, capsys):
-    out = shutil.copytree(exported, tmp_path / "out")
-    before = files(out)
-    item = next(item for item in Store.open(store, create=False).read_study("tiny").items if item.stage == "evolve")
-    history = store / "items" / "evolve" / item.key[:2] / item.key / "history.parquet"
-    history.write_bytes(history.read_bytes()[:-1] + b"x")
-    assert "history.parquet: expected SHA-256" in refused(
-        capsys, "export", "tiny", "--out", str(out), "--store", str(store), "--table", "histories"
-    )
-    assert files(out) == before and sorted(path.name for path in tmp_path.iterdir()) == ["out", "store"]
+    inside = refused(capsys, "export", "tiny", "--out", str(recorded / "out"), "--store", str(recorded))
+    assert "outside the store" in inside
 
 
 # -- champions -------------------------------------------------------------------------------------------------------

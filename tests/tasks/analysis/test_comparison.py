@@ -17,14 +17,6 @@ def sample(values, replicate=0):
     return Sample(np.asarray(values, float), np.broadcast_to(replicate, len(values)))
 
 
-def test_a_worked_example():
-    """Means 2 and 5, variances 1 and 1: t = -3 / √(2/3), with 4 degrees of freedom."""
-    gap, p = difference(sample([1, 2, 3]), sample([4, 5, 6]))
-    t = 3 / math.sqrt(2 / 3)
-    assert gap.value == -3 and p == pytest.approx(2 * stats.t.sf(t, 4))
-    assert gap.high - gap.value == pytest.approx(stats.t.ppf(0.975, 4) * math.sqrt(2 / 3))
-
-
 def test_the_interval_holds_0_where_scipys_test_finds_nothing():
     draw, significant = np.random.default_rng(6), []
     for shift in np.linspace(0, 3, 50):

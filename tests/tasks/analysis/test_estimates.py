@@ -15,7 +15,6 @@ from tasks.analysis.estimates import (
     Sample,
     bootstrap,
     components,
-    error_of,
     is_constant,
     linearised,
     mean_of,
@@ -51,15 +50,6 @@ def test_means_and_deviations_are_of_finite_values():
     assert mean_of(np.array([7.0])) == Mean(7.0, None, 1) and mean_of(np.array([NAN])) == Mean(None)
 
 
-@given(st.integers(0, 2**32), st.integers(2, 12), st.integers(2, 12), st.integers(0, 9))
-def test_with_one_replicate_a_difference_is_welchs(seed, n_x, n_y, replicate):
-    draw = rng(seed)
-    x, y = draw.normal(5, 1, n_x), draw.normal(4, 2, n_y)
-    found = sum_of_means(*(sample(of, np.full(len(of), replicate)) for of in (x, -y)))
-    expected = stats.ttest_ind(x, y, equal_var=False).confidence_interval(0.95)
-    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
-
-
 @pytest.mark.parametrize(
     ("values", "replicate", "between", "within", "variance", "freedom"),
     [
@@ -79,13 +69,6 @@ def test_variances_of_worked_examples(values, replicate, between, within, varian
     assert (found.error.variance, found.error.freedom) == pytest.approx((variance, freedom))
     half = stats.t.ppf(0.975, freedom) * math.sqrt(variance)
     assert interval.high - interval.value == interval.value - interval.low == pytest.approx(half)
-
-
-def test_variances_add_and_degrees_of_freedom_are_welchs():
-    x, y = sample([1, 2, 3, 5, 6, 7], [0, 0, 0, 1, 1, 1]), sample([1, 2, 3, 4])
-    error, parts = error_of(x, y), (4.0, 5 / 3 / 4)
-    assert error.variance == pytest.approx(sum(parts))
-    assert error.freedom == pytest.approx(sum(parts) ** 2 / (parts[0] ** 2 / 1 + parts[1] ** 2 / 3))
 
 
 def test_failed_trials_are_left_out_with_their_replicates():
@@ -124,21 +107,6 @@ def test_a_ratio_to_what_may_be_nothing_has_no_interval(replicate):
 def of(*samples, statistic=lambda means: means, seed=0):
     columns = [np.asarray(one, float).reshape(len(one), -1) for one in samples]
     return bootstrap(statistic, *columns, rng=rng(seed))
-
-
-def test_two_samples_have_scipys_interval_widened_by_students_t():
-    x, y = rng(3).exponential(1.0, 30), rng(4).normal(3.0, 1.0, 20)
-    z = math.sqrt(20 / 19) * stats.t.ppf(0.975, 19)
-    expected = stats.bootstrap(
-        (x, y),
-        lambda x, y, axis=-1: x.mean(axis) / y.mean(axis),
-        n_resamples=2000,
-        confidence_level=2 * stats.norm.cdf(z) - 1,
-        rng=rng(2),
-    ).confidence_interval
-    (found,) = of(x, y, statistic=lambda x, y: x / y)
-    deviation = x.std() / math.sqrt(30) / 3.0
-    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=0.2 * deviation)
 
 
 def test_rows_are_resampled_whole():
