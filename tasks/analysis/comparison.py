@@ -109,7 +109,7 @@ def difference(x: Sample, y: Sample) -> tuple[Estimate, float | None]:
     """Estimate the difference of the means of x and y, and return the p-value of its two-sided test."""
     if len(x) and np.array_equal(x.values, y.values):  # the very same trials in two studies
         return Estimate(0.0, 0.0, 0.0), None
-    gap = sum_of_means(x, y.scaled(-1))
+    gap = sum_of_means(x, replace(y, values=-y.values))
     if gap.value is None or gap.interval is None:
         return gap, None
     error = error_of(x, y)

@@ -86,10 +86,6 @@ class Sample:
     values: Float64  # (n_trials,)
     replicate: Int64  # (n_trials,)
 
-    def scaled(self, factor: float) -> Sample:
-        """Return the same trials with their values multiplied by a factor."""
-        return replace(self, values=factor * self.values)
-
     def __len__(self) -> int:
         return len(self.values)
 
@@ -156,7 +152,7 @@ def error_of(*samples: Sample) -> Error:
 
 
 def sum_of_means(*samples: Sample) -> Estimate:
-    """Estimate the sum of the means of independent groups; one that is subtracted is scaled by -1."""
+    """Estimate the sum of the means of independent groups; one that is subtracted has negative values."""
     if min(len(sample) for sample in samples) == 0:
         return MISSING
     value = float(sum(sample.values.mean() for sample in samples))
