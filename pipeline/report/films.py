@@ -9,12 +9,14 @@ import io
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 from PIL import Image
 from scipy.signal import savgol_filter
@@ -148,7 +150,7 @@ def _lane(
 
     axes.xaxis.set_major_formatter(FuncFormatter(label))
 
-    def caption(x: float, line: int, text: str, **style: object) -> object:
+    def caption(x: float, line: int, text: str, **style: Any) -> Text:
         return figure.text(x, 1 - top - lane * (6 + 19 * line) / LANE_HEIGHT, text, va="top", **style)
 
     caption(0.015, 0, replay.title, color=replay.color, size=10, weight="bold")

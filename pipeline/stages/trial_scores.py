@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from pipeline.stages.data_sets import replicate_of
 from pipeline.store.encoding import decode_json, encode_json
@@ -62,5 +63,5 @@ def scored_trial(trial: TrialId, files: Files | None) -> ScoredTrial:
     if scores is None:
         return ScoredTrial(*identity, status="no champion")
     names = ("fitness", "predicted", "predicted_sd", "zero_shot", "adapted")
-    known = {name: math.nan if (value := getattr(scores, name)) is None else value for name in names}
+    known: dict[str, Any] = {name: math.nan if (value := getattr(scores, name)) is None else value for name in names}
     return ScoredTrial(*identity, status="ok", **known)

@@ -122,9 +122,9 @@ def compare_with_simulation(robot: BuiltRobot, paths: Mapping[int, LinkPath]) ->
     )
     if rollouts.trace is None or not (rollouts.status == OK).all():
         raise RunError("its simulation diverged, so there is nothing to compare with")
-    trace = rollouts.trace[0, n_settle:].astype(np.float64)
+    trace, time = rollouts.trace[0, n_settle:].astype(np.float64), np.asarray(step * np.arange(n_measure), np.float64)
     angle, x = trace[:, links, Column.ANGLE] - trace[:, :1, Column.ANGLE], robot.scale * trace[:, 0, Column.X]
-    return RunComparison(robot, measured, _steady_run(step * np.arange(n_measure), x, angle, robot.frequency))
+    return RunComparison(robot, measured, _steady_run(time, x, angle, robot.frequency))
 
 
 def steady_part(time: Float64, angle: Float64, period: float) -> slice:
