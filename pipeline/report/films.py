@@ -34,7 +34,7 @@ SKY, SLUSH, SURFACE, GROUND, GROUND_EDGE = "#f5f8fb", "#bcd9ee", "#5d9fcd", "#8b
 _DPI = 100
 _MARGIN = 0.6  # space above and below what the robot reaches [m]
 _VIEW_HEIGHT = (5.5, 15.0)  # least and greatest height that a lane shows [m]
-_MOST_COLORS = 64  # of a GIF
+_MOST_COLORS = 32  # of a GIF
 _X264 = {"preset": "veryfast", "crf": "23", "threads": "1"}
 """At a constant rate factor of 23 the edges of links are clean, and 20 s take 250 to 550 kB. A slower preset takes
 twice as long for files that are a tenth smaller."""
