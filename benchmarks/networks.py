@@ -158,7 +158,7 @@ def training() -> list[Benchmark]:
         architecture = Architecture(hidden_layers=hidden_layers, width=width)
         settings = Training(loss="mse", batch_size=batch_size)
         rows = rng.normal(size=(90_000, 12)).astype(np.float32)
-        weights = initial_weights(architecture, rng)
+        weights = initial_weights(architecture.sizes, rng)
         ours, theirs = (
             engine(weights, rows, architecture.dropout, settings, np.random.default_rng(4))
             for engine in (Descent, TorchDescent)

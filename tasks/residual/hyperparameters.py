@@ -24,8 +24,7 @@ class Architecture(Parameters):
     dropout: float = Field(default=0.001, ge=0.0, le=0.9)
     """Probability to drop a hidden unit from a sample of a minibatch. [P]"""
     observation: Annotated[tuple[Observed, ...], Field(min_length=1)] = later_choice(OBSERVATION)
-    """Inputs: by default the six of the paper [P]. Magnitudes (speed, abs_omega, abs_sin_angle) make small networks
-    more accurate, because drag grows with |v| v and |ω| ω. sin_angle is for media that push a tilted plate sideways."""
+    """Inputs: by default the six of the paper [P]. sin_angle is for media that push a tilted plate sideways."""
     form: Literal["plain", "wetted"] = later_choice("plain")
     """What networks know of links: nothing [P], or "wetted", which part is under water. The latter need several times
     fewer throws, of a fluid that does not flow: they learn from the mirror image of every throw, too."""

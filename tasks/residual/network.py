@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,7 +10,6 @@ import numpy as np
 from numpy.random import Generator
 
 from tasks.arrays import Float32
-from tasks.residual.hyperparameters import Architecture
 
 # No warnings for data that are not finite: training reports that it diverged.
 _quietly = np.errstate(invalid="ignore", over="ignore")
@@ -62,17 +62,17 @@ def _moments(rows: Float32) -> tuple[Float32, Float32]:
     return mean.astype(np.float32), deviation.astype(np.float32)
 
 
-def initial_weights(architecture: Architecture, rng: Generator) -> dict[str, Float32]:
+def initial_weights(sizes: Sequence[int], rng: Generator) -> dict[str, Float32]:
     """Draw weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for rows @ weight + bias.
 
     They are uniform within ±1 / √n_in, as in torch.nn.Linear.
 
     Args:
-        architecture: the network's size.
+        sizes: numbers of inputs, of units in each hidden layer, and of outputs.
         rng: generator.
     """
     weights: dict[str, Float32] = {}
-    for i, (n_in, n_out) in enumerate(pairwise(architecture.sizes)):
+    for i, (n_in, n_out) in enumerate(pairwise(sizes)):
         bound = n_in**-0.5
         weights[f"weight_{i}"] = rng.uniform(-bound, bound, (n_in, n_out)).astype(np.float32)
         weights[f"bias_{i}"] = rng.uniform(-bound, bound, n_out).astype(np.float32)

@@ -1,8 +1,7 @@
 """The order of a network's inputs and outputs.
 
 Paper: o = (a, y, cos θ, vx, vy, ω). The horizontal position is left out, because the dynamics do not depend on x.
-Networks may observe more: sin θ, which a medium that pushes a tilted plate sideways requires, and magnitudes, which a
-network would otherwise have to approximate, since drag grows with |v| v and |ω| ω.
+Networks may observe sin θ too, which a medium that pushes a tilted plate sideways requires.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,26 +14,23 @@ from tasks.residual.wetted import WETTED, wetted_inputs
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
-Observed = Literal["a", "y", "cos_angle", "vx", "vy", "omega", "sin_angle", "speed", "abs_omega", "abs_sin_angle"]
+Observed = Literal["a", "y", "cos_angle", "vx", "vy", "omega", "sin_angle"]
 
 OBSERVATION: tuple[Observed, ...] = ("a", "y", "cos_angle", "vx", "vy", "omega")
 """Components of a network's input in the paper [m, m, 1, m/s, m/s, rad/s]."""
 
-INPUTS: Mapping[str, tuple[bool, tuple[str, ...]]] = {
-    "a": (False, ("length_scale",)),
-    "y": (False, ("y",)),
-    "cos_angle": (False, ("cos",)),
-    "vx": (False, ("vx",)),
-    "vy": (False, ("vy",)),
-    "omega": (False, ("omega",)),
-    "sin_angle": (False, ("sin",)),
-    "speed": (True, ("vx", "vy")),
-    "abs_omega": (True, ("omega",)),
-    "abs_sin_angle": (True, ("sin",)),
+INPUTS: Mapping[str, str] = {
+    "a": "length_scale",
+    "y": "y",
+    "cos_angle": "cos",
+    "vx": "vx",
+    "vy": "vy",
+    "omega": "omega",
+    "sin_angle": "sin",
 }
-"""Every possible input of plain networks: whether it is a magnitude, and of which fields of LinkStates."""
+"""Every possible input of plain networks, and the field of LinkStates that it is."""
 
-NUMBERED = tuple(dict.fromkeys((*INPUTS, *WETTED)))
+NUMBERED = tuple(dict.fromkeys((*INPUTS, "speed", "abs_omega", "abs_sin_angle", *WETTED)))
 """Inputs by the numbers that stored weights name them by; new ones are added at the end."""
 
 VELOCITIES = slice(3, 6)  # components of a residual that are applied; positions follow by integration
@@ -53,13 +49,4 @@ def observe(quantities: Mapping[str, Floats], inputs: Sequence[str] = OBSERVATIO
     with np.errstate(over="ignore", invalid="ignore"):
         if tuple(inputs) == WETTED:
             return wetted_inputs(quantities)
-        return np.stack([_input(quantities, name) for name in inputs], axis=-1)
-
-
-def _input(quantities: Mapping[str, Floats], name: str) -> Float32:
-    """Compute one input in float32, with the roundings of the kernel in tasks/simulation/networks/coupled.py."""
-    is_magnitude, fields = INPUTS[name]
-    values = [np.asarray(quantities[field]).astype(np.float32) for field in fields]
-    if not is_magnitude:
-        return values[0]
-    return np.abs(values[0]) if len(values) == 1 else np.sqrt(values[0] * values[0] + values[1] * values[1])
+        return np.stack([np.asarray(quantities[INPUTS[name]]).astype(np.float32) for name in inputs], axis=-1)

@@ -103,7 +103,7 @@ def train_member(
     rng = generator(seed, "member", member)
     by_torch = training.device == "cuda" or numba.config.DISABLE_JIT
     descent = (TorchDescent if by_torch else Descent)(
-        initial_weights(architecture, rng), standardised(*learned), architecture.dropout, training, rng
+        initial_weights(architecture.sizes, rng), standardised(*learned), architecture.dropout, training, rng
     )
     validation_set = standardised(*held_out)
     curve = _learn(descent, validation_set, training, member)

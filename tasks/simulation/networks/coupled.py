@@ -24,10 +24,9 @@ from tasks.simulation.simd.lanes import Block, as_block, sqrt
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.step import immersion, submerged_part
 
-_VALUE, _MAGNITUDE, _MAGNITUDE_OF_TWO = 0, 1, 2  # codes of inputs: q, |q| and √(q² + p²)
 _ONE, _TWELVE = np.float32(1), np.float32(12)
 
-WETTED_FIELDS = tuple((False, (name,)) for name in ("length_scale", "y", "cos", "sin", "vx", "vy", "omega"))
+WETTED_FIELDS = ("length_scale", "y", "cos", "sin", "vx", "vy", "omega")
 """What wetted networks read."""
 
 
@@ -47,7 +46,7 @@ class Coupling(NamedTuple):
 
     whole: LinkCopies  # copies of N_LANES links that are neighbours in both
     single: LinkCopies  # copies of all other links
-    observed: Int64  # (n_read, 3) what networks read: one of the codes above, and first rows of its quantities
+    observed: Int64  # (n_read,) first rows of the quantities that networks read
     wetted: bool  # whether the networks are of the wetted form, see tasks/residual/wetted.py
     layers: Int64  # this field and those below are arguments of the networks' kernel, in inference.py
     sizes: Int64
@@ -99,9 +98,7 @@ def couple(
     return Coupling(
         whole=copies(begins, N_LANES),
         single=copies(~is_whole, 1),
-        observed=np.array(
-            [_code(is_magnitude, fields, quantities) for is_magnitude, fields in networks.inputs], np.int64
-        ),
+        observed=np.array([quantities[field] for field in networks.inputs], np.int64),
         wetted=networks.wetted,
         layers=networks.layers,
         sizes=networks.sizes,
@@ -111,22 +108,16 @@ def couple(
     )
 
 
-def _code(is_magnitude: bool, fields: tuple[str, ...], quantities: Mapping[str, int]) -> tuple[int, int, int]:
-    """Return a row of ``observed``."""
-    first, last = quantities[fields[0]], quantities[fields[-1]]
-    return (_MAGNITUDE + len(fields) - 1 if is_magnitude else _VALUE), first, last
-
-
 @inline
 def _read_wetted(copies: LinkCopies, observed: Int64) -> None:
     """Compute the inputs of wetted networks, as tasks.residual.wetted.wetted_inputs does."""
     robots, x, stride, n = copies.robots, copies.x, copies.quantity, copies.number
     for copy in range(copies.rows.shape[0]):
         robot, k = copies.rows[copy, 0], copies.rows[copy, 1]
-        a, y = robots[robot + observed[0, 1] * stride], robots[robot + observed[1, 1] * stride]
-        cos, sin = robots[robot + observed[2, 1] * stride], robots[robot + observed[3, 1] * stride]
-        vx, vy = robots[robot + observed[4, 1] * stride], robots[robot + observed[5, 1] * stride]
-        omega = robots[robot + observed[6, 1] * stride]
+        a, y = robots[robot + observed[0] * stride], robots[robot + observed[1] * stride]
+        cos, sin = robots[robot + observed[2] * stride], robots[robot + observed[3] * stride]
+        vx, vy = robots[robot + observed[4] * stride], robots[robot + observed[5] * stride]
+        omega = robots[robot + observed[6] * stride]
         width = _ONE / a
         rise_short, rise_long, depth = immersion(a, width, y, cos, sin)
         area, second_moment = submerged_part(a, width, rise_short, rise_long, depth)
@@ -140,20 +131,14 @@ def _read_wetted(copies: LinkCopies, observed: Int64) -> None:
 
 @inline
 def _read(copies: LinkCopies, observed: Int64, wetted: bool) -> None:
-    """Copy the links' states, or magnitudes of them, to the networks' inputs."""
+    """Copy the links' states to the networks' inputs."""
     if wetted:
         _read_wetted(copies, observed)
         return
     for copy in range(copies.rows.shape[0]):
         robot, x = copies.rows[copy, 0], copies.rows[copy, 1]
         for k in range(observed.shape[0]):
-            q = copies.robots[robot + observed[k, 1] * copies.quantity]
-            if observed[k, 0] == _MAGNITUDE:
-                q = abs(q)
-            elif observed[k, 0] == _MAGNITUDE_OF_TWO:
-                p = copies.robots[robot + observed[k, 2] * copies.quantity]
-                q = sqrt(q * q + p * p)
-            copies.x[x + k * copies.number] = q
+            copies.x[x + k * copies.number] = copies.robots[robot + observed[k] * copies.quantity]
 
 
 @inline

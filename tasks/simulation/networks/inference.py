@@ -69,19 +69,14 @@ class PackedNetworks:
     """Networks of one shape, with their weights in the kernel's memory layout."""
 
     def __init__(
-        self,
-        weights: Sequence[Float32],
-        biases: Sequence[Float32],
-        inputs: tuple[tuple[bool, tuple[str, ...]], ...],
-        wetted: bool = False,
+        self, weights: Sequence[Float32], biases: Sequence[Float32], inputs: tuple[str, ...], wetted: bool = False
     ) -> None:
         """Pack the weights of networks with ReLU after every layer but the last.
 
         Args:
             weights: (n_members, n_in, n_out) of each layer.
             biases: (n_members, n_out) of each layer.
-            inputs: what the first layer reads, in order: whether it is a magnitude, and of which one or two fields of
-                :class:`tasks.world.LinkStates`.
+            inputs: fields of :class:`tasks.world.LinkStates` that the networks read, in order.
             wetted: whether the networks are of the wetted form; their inputs are then computed from those read.
         """
         self._source = tuple(weights), tuple(biases), inputs, wetted

@@ -22,9 +22,8 @@ MSE = Training(loss="mse", batch_size=200, n_iterations=100)
 
 
 def descent(training=MSE, n_inputs=6, weighted=False, dropout=0.0, seed=1, **size):
-    names = ("a", "y", "cos_angle", "vx", "vy", "omega", "speed", "abs_omega", "abs_sin_angle")
-    architecture = Architecture(**{"hidden_layers": 2, "width": 32, **size}, observation=names[:n_inputs])
-    weights = initial_weights(architecture, np.random.default_rng(seed))
+    _, *hidden, n_out = Architecture(**{"hidden_layers": 2, "width": 32, **size}).sizes
+    weights = initial_weights([n_inputs, *hidden, n_out], np.random.default_rng(seed))
     rows = rows_of(500, n_inputs, weighted)
     return Descent(weights, rows, dropout, training, np.random.default_rng(seed + 1)), weights, rows
 

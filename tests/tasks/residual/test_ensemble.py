@@ -19,7 +19,7 @@ def members(architecture, n_members=N_MEMBERS, seed=0):
     for _ in range(n_members):
         rows = (rng.normal(size=(2, 100, 6)) * rng.uniform(0.1, 5, 6) + rng.normal(size=6)).astype(np.float32)
         standardisation = Standardisation.of(*rows, standardise_targets=True)
-        weights = initial_weights(architecture, rng)
+        weights = initial_weights(architecture.sizes, rng)
         networks.append((TorchDescent(weights, rows[0], 0.0, Training(), rng), standardisation))
         arrays.append({**weights, **vars(standardisation)})
     return networks, arrays

@@ -23,7 +23,7 @@ def test_standardised_data_have_mean_0_deviation_1_and_come_back(seed, scale, sh
 
 def test_initial_weights_are_those_of_torch_s_linear_layers():
     """Uniform within ±1 / √n_in: the extremes of 250,000 samples come within 1e-3 of it, and moments are known."""
-    weights = initial_weights(Architecture(hidden_layers=3, width=500), np.random.default_rng(1))
+    weights = initial_weights(Architecture(hidden_layers=3, width=500).sizes, np.random.default_rng(1))
     assert [weights[f"weight_{i}"].shape for i in range(4)] == [(6, 500), (500, 500), (500, 500), (500, 6)]
     assert [weights[f"bias_{i}"].shape for i in range(4)] == [(500,), (500,), (500,), (6,)]
     assert len(weights) == 8 and {array.dtype for array in weights.values()} == {np.dtype(np.float32)}

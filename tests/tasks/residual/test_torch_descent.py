@@ -37,7 +37,7 @@ def gradient_by_torch(weights, batch, training, kept=None):
 
 
 def new(training, dropout=0.0, seed=1, weighted=False):
-    weights = initial_weights(ARCHITECTURE, np.random.default_rng(seed))
+    weights = initial_weights(ARCHITECTURE.sizes, np.random.default_rng(seed))
     return TorchDescent(
         weights, rows_of(300, weighted=weighted), dropout, training, np.random.default_rng(seed)
     ), weights

@@ -22,7 +22,7 @@ def networks(hidden_layers, width, n_members=3, n_out=3, seed=0):
     return weights, biases
 
 
-INPUTS = tuple((False, (field,)) for field in ("length_scale", "y", "cos", "vx", "vy", "omega"))
+INPUTS = ("length_scale", "y", "cos", "vx", "vy", "omega")
 
 
 def packed(hidden_layers, width):
