@@ -30,8 +30,8 @@ install = if [ -n "$(TORCH_INDEX)" ] || $(PIP) config list | grep -E 'index-url|
 ifneq ($(filter-out cpu cuda,$(TORCH)),)
 $(error TORCH is cpu or cuda, got $(TORCH))
 endif
-ifneq ($(filter-out cad dev server vision,$(EXTRAS)),)
-$(error EXTRAS are cad, dev, server and vision, got $(EXTRAS))
+ifneq ($(filter-out cad dev search server vision,$(EXTRAS)),)
+$(error EXTRAS are cad, dev, search, server and vision, got $(EXTRAS))
 endif
 
 .DEFAULT_GOAL := help
@@ -40,7 +40,7 @@ endif
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-7s %s\n", $$1, $$2}'
 
-setup: $(INSTALLED) $(EXTRAS:%=$(VENV)/.installed-%) ## install what a study needs (TORCH=cpu or cuda; EXTRAS=cad, dev, server, vision)
+setup: $(INSTALLED) $(EXTRAS:%=$(VENV)/.installed-%) ## install what a study needs (TORCH=cpu or cuda; EXTRAS=cad, dev, search, server, vision)
 
 # torch comes first and by its exact version: its builds for the CPU and for CUDA differ by gigabytes. TORCH_INDEX is the
 # index that pip takes it from, if not pip's own; torch's page "Get started" has the address of each build's.

@@ -55,7 +55,7 @@ def first_generation() -> list[Benchmark]:
         "    rollouts = simulate(designs, TrueSlush(1.0), n_settle=1, n_measure=1)\n"
         "    return evaluate(rollouts, disagreement_penalty=0.0)\n"
         "start = time.perf_counter()\n"
-        "evolve([Trial(partial(generator, 0))], score, first_generation=0, n_generations=1, afpo=Afpo())\n"
+        "evolve([Trial(partial(generator, 0))], score, first_generation=0, n_generations=1, search=Afpo())\n"
         "print(time.perf_counter() - start)\n"
     )
     with tempfile.TemporaryDirectory() as cache:

@@ -63,7 +63,7 @@ def _shares(environment: Environment, trial: int) -> tuple[float, float]:
             score,
             first_generation=0,
             n_generations=N_GENERATIONS,
-            afpo=Afpo(population_size=N_DESIGNS),
+            search=Afpo(population_size=N_DESIGNS),
         )
     evolved = time.perf_counter() - start
     start = time.perf_counter()
@@ -99,6 +99,6 @@ def _seconds(environment: Environment, trials: Sequence[int]) -> float:
         score,
         first_generation=0,
         n_generations=N_GENERATIONS // 4,
-        afpo=Afpo(population_size=LAPTOP_POPULATION),
+        search=Afpo(population_size=LAPTOP_POPULATION),
     )
     return time.perf_counter() - start

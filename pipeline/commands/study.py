@@ -56,12 +56,17 @@ def _run_stages(
     from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.driver import drive
     from pipeline.workflow.progress import progress
+    from tasks.evolution import require_search
 
     settings = options.settings()
     wanted = [stage for stage in STAGES if not stages or stage.name in stages]
     names = [stage.name for stage in wanted]
     if unknown := [name for name in recompute if name not in names]:
         raise PuddleError(f"--recompute {unknown[0]}: expected a stage that this command runs: {', '.join(names)}")
+    try:
+        require_search(settings.evolution.search)
+    except ValueError as error:
+        raise PuddleError(f"evolution.{error}") from None
     _check_inputs(options, settings, wanted[0])
     store = options.open_store(create=True)
     if recompute:

@@ -148,7 +148,7 @@ def _workers_per_generation(settings: Settings, chain: Chain[Any]) -> int:
     if not isinstance(chain.spec, TrialSpec):
         return 1
     size = environments.execution_options(settings, chain.spec.environment).designs_per_batch
-    return math.ceil(settings.evolution.afpo.population_size / size) if size else 1
+    return math.ceil(settings.evolution.optimiser.population_size / size) if size else 1
 
 
 def _expected(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
@@ -160,7 +160,7 @@ def _expected(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tup
 def _expected_bytes(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
     if stage.name == "train":
         return len(units) * (4.0 * float(chain.spec.network.n_weights) + 20e3)
-    per_item, per_unit = _BYTES.get(stage.unit, (1e4, _BYTES_PER_DESIGN * settings.evolution.afpo.population_size))
+    per_item, per_unit = _BYTES.get(stage.unit, (1e4, _BYTES_PER_DESIGN * settings.evolution.optimiser.population_size))
     return per_item * len(units) + per_unit * sum(units)
 
 
@@ -185,7 +185,7 @@ def _flops_of_iteration(network: Architecture, training: Training) -> float:
 
 def _generation(settings: Settings, environment: EnvironmentName) -> float:
     """Return the time of one generation of a trial [s]."""
-    return settings.evolution.afpo.population_size * _rollout(settings, environment)
+    return settings.evolution.optimiser.population_size * _rollout(settings, environment)
 
 
 def _ensemble_of(chain: Chain[Any]) -> EnvironmentName:

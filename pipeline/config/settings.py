@@ -6,6 +6,8 @@ scientific parameters are declared beside the equations that use them, in tasks/
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from operator import eq
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, create_model, model_validator
@@ -13,7 +15,17 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
-from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Afpo, Deviation, ObjectiveName
+from tasks.evolution import (
+    OBJECTIVES,
+    PAPERS_OBJECTIVE,
+    PAPERS_SEARCH,
+    SEARCHES,
+    Afpo,
+    Deviation,
+    ObjectiveName,
+    Optimiser,
+    SearchName,
+)
 from tasks.parameters import Parameters, later_choice
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
@@ -105,6 +117,22 @@ class RolloutSettings(Parameters):
         return self
 
 
+_SettingsT = TypeVar("_SettingsT", bound=Parameters)
+
+
+def _with_groups(
+    declared: type[_SettingsT], registered: Mapping[str, type[Parameters]], *, later: bool = False
+) -> type[_SettingsT]:
+    """Add registered groups that have no field of their own; JSON omits later ones where they have their defaults."""
+    groups: dict[str, Any] = {}
+    for name, group in registered.items():
+        if name not in declared.model_fields:
+            omit = partial(eq, group()) if later else None
+            groups[name] = (group, Field(default=group(), description=group.__doc__, exclude_if=omit))
+    return create_model(declared.__name__, __base__=declared, __module__=declared.__module__, **groups)
+
+
+@partial(_with_groups, registered={name: search.settings for name, search in SEARCHES.items()}, later=True)
 class EvolutionSettings(Parameters):
     """The evolution of bodies and controllers."""
 
@@ -120,6 +148,15 @@ class EvolutionSettings(Parameters):
     """The algorithm."""
     morphology: Morphology = Morphology()
     """Constraints on bodies and motors."""
+    search: SearchName = later_choice(PAPERS_SEARCH)
+    """What improves designs and adapted controllers: afpo, the paper's age-fitness Pareto optimisation, or another
+    search, whose settings are the group of its name. [P]: afpo."""
+
+    @property
+    def optimiser(self) -> Optimiser:
+        """The search, with its settings."""
+        chosen: Optimiser = getattr(self, self.search)
+        return chosen
 
     @model_validator(mode="after")
     def _depths_belong_to_the_objective(self) -> Self:
@@ -168,22 +205,7 @@ class WorkSettings(Parameters):
     on one worker, which is right unless a generation takes core-seconds or there are more cores than trials."""
 
 
-_SettingsT = TypeVar("_SettingsT", bound=Parameters)
-
-
-def _with_registered_media(declared: type[_SettingsT]) -> type[_SettingsT]:
-    """Add the settings groups of registered media that have no field of their own."""
-    groups: dict[str, Any] = {
-        name: (group, Field(default=group(), description=group.__doc__))
-        for name, group in settings_groups().items()
-        if name not in declared.model_fields
-    }
-    if not groups:
-        return declared
-    return create_model(declared.__name__, __base__=declared, __module__=declared.__module__, **groups)
-
-
-@_with_registered_media
+@partial(_with_groups, registered=settings_groups())
 class Settings(Parameters):
     """A study."""
 

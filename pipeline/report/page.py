@@ -101,6 +101,18 @@ FIGURES: Mapping[str, PageFigure] = {
             page.curves, OBJECTIVES[page.settings.evolution.objective].unit, page.looks
         ),
     ),
+    "elites": PageFigure(
+        "The fittest robot of each kind of body",
+        "evolution",
+        "Fitness of the best robot of each cell over all trials at the greatest depth, in the environment where the "
+        "robots evolve. Cells at the edge hold what lies beyond. The table elites.csv names every robot.",
+        lambda page: transfer_figures.elites(
+            page.rows("elites"),
+            page.settings.evolution.optimiser,
+            OBJECTIVES[page.settings.evolution.objective].unit,
+            page.looks,
+        ),
+    ),
     "prediction_accuracy": PageFigure(
         "Prediction accuracy",
         "networks",
@@ -203,7 +215,7 @@ def robot_address(environment: str, depth: float, trial: int) -> str:
 
 def scale_words(settings: Settings) -> str:
     """Say how the study's scale of evolution compares with the paper's."""
-    evaluated = settings.evolution.n_generations * settings.evolution.afpo.population_size
+    evaluated = settings.evolution.n_generations * settings.evolution.optimiser.population_size
     share = paper.N_EVALUATED / evaluated
     if share < 1.5 or not settings.has_papers_target:
         return ""

@@ -23,8 +23,11 @@ from pipeline.report.drawing import (
 )
 from pipeline.report.palette import Look
 from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.tables.elites import Elite
 from tasks.analysis.tables.transfer import TransferRow
 from tasks.arrays import Float64
+from tasks.evolution import Optimiser
+from tasks.evolution.map_elites import MEASURES, MapElites
 from tasks.world import environment_kind
 
 _CURVE_POINTS = 120  # generations drawn per fitness curve
@@ -152,3 +155,29 @@ def _curve(panel: Any, curves: Sequence[Float64], color: str) -> None:
     mean, sd = best.mean(axis=0), best.std(axis=0, ddof=1) if len(best) > 1 else 0.0
     panel.fill_between(shown[usable], mean - sd, mean + sd, color=color, alpha=0.22, lw=0)
     panel.plot(shown[usable], mean, color=color)
+
+
+def elites(rows: Sequence[Elite], search: Optimiser, unit: str, looks: Mapping[str, Look]) -> Figure:
+    """Draw a panel for every environment at the greatest depth: the best fitness over trials of each cell of bodies."""
+    if not rows or not isinstance(search, MapElites):
+        raise NothingToDraw
+    depth = max(row.depth for row in rows)
+    shown = [row for row in rows if row.depth == depth]
+    present = [name for name in looks if any(row.environment == name for row in shown)]
+    figure, panels = panel_grid(len(present), 2, row_height=2.9)
+    low, high = min(row.fitness for row in shown), max(row.fitness for row in shown)
+    (left, right), (bottom, top) = MEASURES.values()
+    for panel, name in zip(panels, present, strict=True):
+        best = np.full(search.cells[::-1], np.nan)
+        for row in shown:
+            if row.environment == name:
+                at = row.size_cell, row.length_cell
+                best[at] = np.fmax(best[at], row.fitness)
+        image = panel.imshow(
+            best, origin="lower", extent=(left, right, bottom, top), aspect="auto", vmin=low, vmax=high
+        )
+        panel.set_title(f"{environment_kind(name).label}, {depth:g} m")
+    figure.supxlabel("body length at rest [m]")
+    figure.supylabel("body size: sum of links [m]")
+    figure.colorbar(image, ax=list(panels), label=f"fitness [{unit}]")
+    return figure

@@ -24,7 +24,6 @@ from pipeline.store.tables import described
 from pipeline.workflow.identity import ChainId, OutputId, TrialId
 from pipeline.workflow.stage import Results, Upstream
 from tasks.analysis.tables import ANALYSES
-from tasks.evolution import OPERATORS
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,8 @@ def _arrow_table(
     for key, kind in KEYS.items():
         arrays[key] = _arrow_array(left.pop(key)).cast(kind) if key in left else pa.nulls(n_rows, kind)
     if "operator" in left and left["operator"].dtype.kind != "U":
-        left["operator"] = np.array(OPERATORS)[left["operator"]]  # codes in histories
+        names = [coded.split()[1] for coded in units["operator"].split(", ")]  # "0 random, 1 mutation, ..."
+        left["operator"] = np.array(names)[left["operator"]]
     arrays |= {name: _arrow_array(column) for name, column in left.items()}
     fields = []
     for name, array in arrays.items():

@@ -60,7 +60,8 @@ def applies(one: Analysis, settings: Settings) -> bool:
     """Return whether a study has what an analysis is about."""
     networks = settings.needs_ensemble or not {"collect", "train"} & set(one.reads)
     papers = settings.has_papers_target or one.section != "paper"
-    return networks and papers and (settings.tank is not None or not one.needs_tank)
+    searched = one.search in (None, settings.evolution.search)
+    return networks and papers and searched and (settings.tank is not None or not one.needs_tank)
 
 
 def _item(
@@ -119,7 +120,7 @@ ANALYSE = Stage(
     name="analyse",
     version=14,
     unit="analyses",
-    reads=lambda settings: ("collect", "train", "transfer", "assess"),
+    reads=lambda settings: ("collect", "train", "evolve", "transfer", "assess"),
     plan=_plan,
     item=_item,
     compute=_compute,

@@ -6,11 +6,10 @@ network. Evolution never lets it survive and figures leave it out, but the user 
 
 import numpy as np
 
-from pipeline.stages.segments import drawn_column, rejected_column
+from pipeline.stages.segments import draws_of
 from pipeline.stages.trial_scores import NO_CHAMPION, TrialScores
 from pipeline.store.tables import Columns
 from tasks.arrays import Bools
-from tasks.evolution import OPERATORS
 
 
 def in_trial(curve: Columns) -> str | None:
@@ -55,7 +54,7 @@ def _in_generations(curve: Columns, designs: str) -> str | None:
     n_diverged = int(curve["n_diverged"].sum())
     if n_diverged == 0:
         return None
-    n_designs = sum(int((curve[drawn_column(name)] - curve[rejected_column(name)]).sum()) for name in OPERATORS)
+    n_designs = sum(drawn - rejected for drawn, rejected in draws_of([curve]).values())
     first = curve["generation"][np.flatnonzero(curve["n_diverged"])[0]]
     verb, when = ("was", "in") if n_diverged == 1 else ("were", "the first in")
     return f"{n_diverged} of {n_designs:,} {designs} diverged and {verb} discarded; {when} generation {first}"

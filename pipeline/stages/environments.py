@@ -110,7 +110,7 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
         return 1
     if environment_kind(environment).learned:  # an ensemble fills the lanes; single members differ between trials
         return 1
-    return n_that_fill_lanes(settings.evolution.afpo.population_size, settings.physics)
+    return n_that_fill_lanes(settings.evolution.optimiser.population_size, settings.physics)
 
 
 def relative_cost(settings: Settings, environment: EnvironmentName) -> float:

@@ -15,7 +15,7 @@ from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, trials_of
 from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, TrialSummary, Upstream
-from tasks.evolution import OBJECTIVES, OPERATORS
+from tasks.evolution import OBJECTIVES
 
 _DIVERGED = "n_designs_diverged"  # MLflow metric: designs of a trial that diverged, over all its generations
 
@@ -44,17 +44,14 @@ def _item(
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Report each arm's best fitness, and each trial's curves."""
-    trials, best = [], dict[Arm, list[float]]()
-    drawn, rejected = dict.fromkeys(OPERATORS, 0), dict.fromkeys(OPERATORS, 0)
+    trials, curves, best = [], [], dict[Arm, list[float]]()
     for trial in trials_of(settings, "evolve"):
         if trial not in results.done:
             continue
         curve = segments.read_curve(store, results.done[trial])
         final = float(curve["best_fitness"][-1])
         best.setdefault(trial.arm, []).append(final)
-        for operator in OPERATORS:
-            drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
-            rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
+        curves.append(curve)
         trials.append(_summarise_trial(store, trial, results.done[trial]))
     unit = OBJECTIVES[settings.evolution.objective].unit
     lines = [f"fitness: {settings.selected_for} [{unit}]"] if best else []
@@ -67,11 +64,11 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         lines.append(f"{arm.environment:>15} at {arm.depth:g} m: champions' fitness {shown}{lost}")
         if known:
             metrics[f"champion_fitness.{arm.environment}.{arm.depth:g}m"] = float(np.mean(known))
-    shares = {operator: rejected[operator] / drawn[operator] for operator in OPERATORS if rejected[operator]}
-    if shares:
-        listed = ", ".join(f"{share:.1%} of {drawn[operator]:,} by {operator}" for operator, share in shares.items())
+    rejecting = {operator: counts for operator, counts in segments.draws_of(curves).items() if counts[1]}
+    if rejecting:
+        listed = ", ".join(f"{n / of:.1%} of {of:,} by {operator}" for operator, (of, n) in rejecting.items())
         lines.append(f"drawn again because evolution.morphology did not allow them: {listed}")
-        metrics |= {f"rejected_share.{operator}": share for operator, share in shares.items()}
+        metrics |= {f"rejected_share.{operator}": n / of for operator, (of, n) in rejecting.items()}
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 

@@ -43,7 +43,6 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.analysis.registry import Champion
-from tasks.evolution import OPERATORS
 
 PAGE = "index.html"  # the page's file
 FILM = "replay"  # name of the film of the first screen, without suffix
@@ -246,11 +245,7 @@ def _throws(inputs: Inputs) -> ThrowPaths | None:
 
 def _rejected(curves: Sequence[Columns]) -> dict[str, float]:
     """Return the share of the designs of each operator that were rejected, for operators that rejected some."""
-    drawn, rejected = (
-        {name: sum(int(curve[column(name)].sum()) for curve in curves) for name in OPERATORS}
-        for column in (segments.drawn_column, segments.rejected_column)
-    )
-    return {name: rejected[name] / drawn[name] for name in OPERATORS if rejected[name]}
+    return {name: rejected / drawn for name, (drawn, rejected) in segments.draws_of(curves).items() if rejected}
 
 
 def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Columns]) -> list[str]:

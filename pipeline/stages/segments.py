@@ -20,22 +20,22 @@ from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
 from tasks.evolution import (
     EMPTY_POPULATION,
-    HISTORY_UNITS,
     OBJECTIVES,
-    OPERATORS,
     PAPERS_OBJECTIVE,
-    Afpo,
+    PAPERS_SEARCH,
     Deviation,
     ObjectiveName,
+    Optimiser,
     Population,
+    SearchName,
     Trial,
     evolve,
+    history_units,
 )
 from tasks.seeding import generator
 from tasks.world import Environment, EnvironmentName
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
-_HISTORY_UNITS = {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
 BEFORE = InputName("before")  # the segment before
 CHAMPION_OF = InputName("champion-of")  # the last segment of the trial whose champion's body is frozen
 
@@ -48,12 +48,13 @@ class TrialSpec:
     seed: int
     environment: EnvironmentName  # where designs are simulated: its own, or the target for an adaptation
     simulation: SimulationSpec
-    afpo: Afpo
+    afpo: Optimiser  # settings of the search, which in keys are called as those of the first one
     morphology: Morphology
     disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without an ensemble
     objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT)
     objective_depths: tuple[float, ...] = field(default=(), metadata=OMIT_DEFAULT)  # [m], of an objective over depths
     deviation: Deviation = field(default="population", metadata=OMIT_DEFAULT)  # what σ over members is
+    search: SearchName = field(default=PAPERS_SEARCH, metadata=OMIT_DEFAULT)
 
     @property
     def fitness(self) -> FitnessSpec:
@@ -82,9 +83,10 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         settings.seed,
         environment,
         environments.simulation_spec(settings, environment),
-        settings.evolution.afpo,
+        settings.evolution.optimiser,
         settings.evolution.morphology,
         **vars(environments.fitness_spec(settings, environment)),
+        search=settings.evolution.search,
     )
 
 
@@ -136,15 +138,15 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
         raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
     trials = [_trial(item.spec.trial, item_inputs) for item, item_inputs in zip(items, inputs, strict=True)]
     environment = spec.trial.at_home(inputs[0])
-    unit = OBJECTIVES[spec.trial.objective].unit
-    of_history = {**_HISTORY_UNITS, "fitness": unit}
-    of_curve = {**CURVE_UNITS, "best_fitness": unit, "median_fitness": unit}
+    search, objective = spec.trial.afpo, spec.trial.objective
+    of_history = {**history_units(search, objective), **{gene.name: gene.unit for gene in GENES}}
+    of_curve = curve_units(search, OBJECTIVES[objective].unit)
     advanced = evolve(
         trials,
         environments.scorer(spec.trial.simulation, execution, environment, spec.trial.fitness),
         first_generation=spec.first_generation,
         n_generations=spec.n_generations,
-        afpo=spec.trial.afpo,
+        search=search,
         morphology=spec.trial.morphology,
     )
     return [
@@ -152,7 +154,7 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
             POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=item.key),
             HISTORY: encode_table(history, schema="history", version=1, producer=item.key, units=of_history),
             CURVE: encode_table(
-                _curve(trial.population, history), schema="curve", version=1, producer=item.key, units=of_curve
+                _curve(search, trial.population, history), schema="curve", version=1, producer=item.key, units=of_curve
             ),
         }
         for item, trial, (after, history) in zip(items, trials, advanced, strict=True)
@@ -185,33 +187,31 @@ def champion_of(population: Population) -> Designs | None:
     return population.designs[population.champion()] if len(population.designs) else None
 
 
-def drawn_column(operator: str) -> str:
-    """Return the name of the curve's column that counts an operator's draws."""
-    return f"n_drawn_{operator}"
+DRAWN, REJECTED = "n_drawn_", "n_rejected_"
+"""Prefixes of a curve's columns that count an operator's draws, and those that the morphology rejected."""
 
 
-def rejected_column(operator: str) -> str:
-    """Return the name of the curve's column that counts the draws that the morphology rejected."""
-    return f"n_rejected_{operator}"
+def curve_units(search: Optimiser, fitness: str) -> dict[str, str]:
+    """Return the columns of a search's curve, and their units."""
+    return {
+        "generation": "",
+        "best_fitness": fitness,
+        "median_fitness": fitness,
+        "n_diverged": "designs",
+        **{prefix + operator: "designs" for operator in search.operators for prefix in (DRAWN, REJECTED)},
+    }
 
 
-CURVE_UNITS = {
-    "generation": "",
-    "best_fitness": "m",
-    "median_fitness": "m",
-    "n_diverged": "designs",
-    **{column(operator): "designs" for operator in OPERATORS for column in (drawn_column, rejected_column)},
-}
-
-
-def _curve(before: Population, history: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+def _curve(
+    search: Optimiser, before: Population, history: Mapping[str, npt.NDArray[Any]]
+) -> dict[str, npt.NDArray[Any]]:
     """Tabulate a segment by generation: best fitness so far, median fitness of the children, draws of each operator."""
     generations = np.unique(history["generation"])
     n_draws, operator = (history[name].reshape(len(generations), -1) for name in ("n_draws", "operator"))
     draws = {}
-    for code, name in enumerate(OPERATORS):
-        draws[drawn_column(name)] = np.where(operator == code, n_draws, 0).sum(axis=1)
-        draws[rejected_column(name)] = np.where(operator == code, n_draws - 1, 0).sum(axis=1)
+    for code, name in enumerate(search.operators):
+        draws[DRAWN + name] = np.where(operator == code, n_draws, 0).sum(axis=1)
+        draws[REJECTED + name] = np.where(operator == code, n_draws - 1, 0).sum(axis=1)
     fitness = history["fitness"].reshape(len(generations), -1)
     best_before = before.fitness.max(initial=-np.inf)
     return {
@@ -231,7 +231,19 @@ def read_curve(store: Store, segments: Sequence[Manifest]) -> dict[str, npt.NDAr
 def join_curves(parts: Mapping[str, bytes]) -> dict[str, npt.NDArray[Any]]:
     """Join the curves of a trial's segments; names of sources are for error messages."""
     tables = [decode_table(data, schema="curve", version=1, source=name) for name, data in parts.items()]
-    return {name: np.concatenate([table[name] for table in tables]) for name in CURVE_UNITS}
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+
+
+def draws_of(curves: Sequence[Mapping[str, npt.NDArray[Any]]]) -> dict[str, tuple[int, int]]:
+    """Count the draws of each operator over some trials, and those that the morphology rejected."""
+    operators = [name.removeprefix(DRAWN) for name in (curves[0] if curves else ()) if name.startswith(DRAWN)]
+    return {
+        operator: (drawn, rejected)
+        for operator in operators
+        for drawn, rejected in [
+            (sum(int(curve[prefix + operator].sum()) for curve in curves) for prefix in (DRAWN, REJECTED))
+        ]
+    }
 
 
 def mean_and_deviation(values: Sequence[float]) -> str:

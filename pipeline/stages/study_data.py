@@ -19,6 +19,7 @@ from pipeline.stages.data_sets import (
     own_network,
 )
 from pipeline.stages.environments import SimulationSpec, network_inputs, networks_among
+from pipeline.stages.segments import POPULATION, population_of
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.design_file import design_from
@@ -28,11 +29,14 @@ from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Up
 from tasks.analysis.registry import AnalysisSettings, Assessed, Champion
 from tasks.analysis.scores import ScoredTrial
 from tasks.design import Designs
+from tasks.evolution import Population
 from tasks.residual import Learner
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, Slush, environment_kind
 from tasks.world.slush import PAPERS_TARGET
+
+EVOLVED = "evolved"  # role of the inputs that are what a trial's search knows at its end
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,10 @@ def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[s
         if trial in upstream["transfer"].done:
             scored = upstream["transfer"].done[trial][-1]
             inputs[InputName(SCORED, trial)] = Input(scored, tuple(f for f in (SCORE, CHAMPION) if f in scored.files))
+    if "evolve" in reads:
+        for trial in trials:
+            if evolved := upstream["evolve"].done.get(trial.in_stage("evolve")):
+                inputs[InputName(EVOLVED, trial)] = Input(evolved[-1], (POPULATION,))
     if "assess" in reads:  # in the order of their labels: resampling depends on the order of designs
         for assessed, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, assessed)] = Input(share, (PREDICTIONS,))
@@ -127,6 +135,11 @@ class StudyFiles:
                 known = scored.fitness, scored.predicted, scored.zero_shot
                 found.append(Champion(trial.environment, trial.depth, trial.index, design, *known))
         return found
+
+    @cached_property
+    def populations(self) -> Mapping[tuple[EnvironmentName, float, int], Population]:
+        found = {name.chain: files for name, files in self.inputs.items() if name.role == EVOLVED}
+        return {trial: population_of(found[one]) for trial, one in self._trials.items() if one in found}
 
     def assessed(self, group: str) -> Assessed | None:
         shares = [

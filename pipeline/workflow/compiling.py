@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from tasks.evolution import EMPTY_POPULATION, Afpo, Trial, evaluate, evolve
+from tasks.evolution import Afpo, Trial, evaluate, evolve
 from tasks.residual.ensemble import N_OUT, Ensemble
 from tasks.residual.observation import OBSERVATION
 from tasks.seeding import generator
@@ -17,11 +17,11 @@ def compile_kernels(physics: Physics) -> None:
     network = Ensemble((np.zeros((1, len(OBSERVATION), N_OUT), np.float32),), (np.zeros((1, N_OUT), np.float32),))
     home = ResidualSlush(1.0, network)
     evolve(
-        [Trial(partial(generator, 0, "kernels"), EMPTY_POPULATION)],
+        [Trial(partial(generator, 0, "kernels"))],
         lambda designs: evaluate(
             simulate(designs, home, n_settle=1, n_measure=2, physics=physics), disagreement_penalty=1.0
         ),
         first_generation=0,
         n_generations=2,
-        afpo=Afpo(population_size=2),
+        search=Afpo(population_size=2),
     )

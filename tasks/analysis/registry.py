@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tasks.analysis.tank import Tank
     from tasks.arrays import Float64, Int64
     from tasks.design import Designs
-    from tasks.evolution import Deviation
+    from tasks.evolution import Deviation, Population
     from tasks.residual import Learner
     from tasks.simulation import Rollouts
     from tasks.world import EnsembleMedium, Environment, Physics
@@ -137,6 +137,10 @@ class StudyData(Protocol):
     def champions(self) -> Sequence[Champion]:
         """The champions that there are, in the order of the trials."""
 
+    @property
+    def populations(self) -> Mapping[tuple[EnvironmentName, float, int], Population]:
+        """What the search of each trial knows at its end, by environment, depth [m] and number of the trial."""
+
     def assessed(self, data_set: str) -> Assessed | None:
         """Return the designs that the ensemble of a data set was assessed with, if any."""
 
@@ -184,6 +188,7 @@ class Analysis:
     shown: Callable[[Any], bool] = lambda row: True  # rows that the page shows
     metrics: Callable[[Sequence[Any]], Mapping[str, float | None]] = lambda rows: {}  # by which MLflow compares studies
     needs_tank: bool = False  # whether it is about the virtual tank, which few studies have
+    search: str | None = None  # the search whose studies it is about, if not all of them
     cost: float = 1.0  # about how many rollouts of a champion it takes
 
 

@@ -177,8 +177,13 @@ def random_designs(
     Raises:
         DesignError: the morphology can't be satisfied.
     """
+    return draw_random(n_designs, rng, body=body, morphology=morphology).designs
+
+
+def draw_random(n_designs: int, rng: Generator, *, body: Designs | None, morphology: Morphology) -> Drawn:
+    """Return random designs, and how many were drawn for each; see :func:`random_designs`."""
     constraints = morphology if body is None else morphology.of_controllers()
-    return Sampler(rng, variation_of(morphology, body=body), constraints).random(n_designs).designs
+    return Sampler(rng, variation_of(morphology, body=body), constraints).random(n_designs)
 
 
 def mutate(

@@ -4,7 +4,7 @@ Independent trials may be batched: their designs are evaluated together to save 
 same as if it ran alone.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,26 +12,27 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.arrays import Bools, Int64
 from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Children, Population, ask, tell
-from tasks.evolution.objectives import OBJECTIVES, PAPERS_OBJECTIVE, Evaluation
+from tasks.evolution.objectives import OBJECTIVES, PAPERS_OBJECTIVE, Evaluation, ObjectiveName
+from tasks.evolution.search import EMPTY_POPULATION, Children, Optimiser, Population
 
-History = dict[str, npt.NDArray[Any]]  # columns of equal length, one row per evaluated design; see HISTORY_UNITS
+History = dict[str, npt.NDArray[Any]]  # columns of equal length, one row per evaluated design; see history_units
 
-HISTORY_UNITS: Mapping[str, str] = {
-    "generation": "",
-    "identity": "running number within the trial",
-    "operator": ", ".join(f"{code} {name}" for code, name in enumerate(OPERATORS)),
-    "age": "generations",
-    "parents": "two identities, -1 where there is none",
-    "n_draws": "draws of its operator, the last of which the morphology allowed",
-    "survived": "whether it was selected in its own generation",
-    "fitness": OBJECTIVES[PAPERS_OBJECTIVE].unit,
-    "displacement": "m, per member",
-    "com_displacement": "m, per member",
-}
-"""Columns of a history in addition to the genes, and their units; fitness has the unit of the objective."""
+
+def history_units(search: Optimiser, objective: ObjectiveName = PAPERS_OBJECTIVE) -> dict[str, str]:
+    """Return the columns of a search's history in addition to the genes, and their units."""
+    return {
+        "generation": "",
+        "identity": "running number within the trial",
+        "operator": ", ".join(f"{code} {name}" for code, name in enumerate(search.operators)),
+        **search.columns,
+        "parents": "two identities, -1 where there is none",
+        "n_draws": "draws of its operator, the last of which the morphology allowed",
+        "survived": "whether it was selected in its own generation",
+        "fitness": OBJECTIVES[objective].unit,
+        "displacement": "m, per member",
+        "com_displacement": "m, per member",
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class Trial:
     body: Designs | None = None  # one design whose body stays fixed; only controllers evolve then
 
 
-_Generation = tuple[Children, Evaluation, Population]  # its children, their evaluation and the survivors
+_Generation = tuple[Children, Evaluation, Population]  # its children, their evaluation and the state after it
 
 
 def evolve(
@@ -52,17 +53,17 @@ def evolve(
     *,
     first_generation: int,
     n_generations: int,
-    afpo: Afpo,
+    search: Optimiser,
     morphology: Morphology = ANY_BODY,
 ) -> list[tuple[Population, History]]:
-    """Return the survivors of each trial of a batch after some generations, and the history of these.
+    """Return the state of each trial of a batch after some generations, and the history of these.
 
     Args:
         trials: the trials' states before.
         evaluate: scores the designs of all trials in one call.
         first_generation: number of the first generation to run.
         n_generations: number of generations to run.
-        afpo: the algorithm's parameters.
+        search: what asks for designs and is told how they did.
         morphology: constraints on designs.
 
     Raises:
@@ -77,45 +78,38 @@ def evolve(
     generations: list[list[_Generation]] = [[] for _ in trials]
     for rngs in zip(*generators, strict=True):
         asked = [
-            ask(population, rng, afpo, body=trial.body, morphology=morphology)
+            search.ask(population, rng, body=trial.body, morphology=morphology)
             for trial, population, rng in zip(trials, populations, rngs, strict=True)
         ]
         designs = Designs.from_table(np.concatenate([children.table for children in asked]))
         evaluations = _split_by_trial(evaluate(designs), asked)
         for i, (children, evaluation, rng) in enumerate(zip(asked, evaluations, rngs, strict=True)):
-            populations[i] = tell(populations[i], children, evaluation.fitness, rng, afpo)
+            populations[i] = search.tell(populations[i], children, evaluation, rng)
             generations[i].append((children, evaluation, populations[i]))
-    return [(after, _record(first_generation, past)) for after, past in zip(populations, generations, strict=True)]
+    return [
+        (after, _record(search, first_generation, past)) for after, past in zip(populations, generations, strict=True)
+    ]
 
 
 def _split_by_trial(evaluation: Evaluation, asked: Sequence[Children]) -> list[Evaluation]:
-    ends = np.cumsum([len(children.age) for children in asked])
+    ends = np.cumsum([len(children.identity) for children in asked])
     arrays = [np.split(getattr(evaluation, field.name), ends[:-1]) for field in fields(Evaluation)]
     return [Evaluation(*of_trial) for of_trial in zip(*arrays, strict=True)]
 
 
-def _record(first_generation: int, generations: Sequence[_Generation]) -> History:
-    asked, evaluations, survivors = zip(*generations, strict=True)
-    n_children = [len(children.age) for children in asked]
+def _record(search: Optimiser, first_generation: int, generations: Sequence[_Generation]) -> History:
+    asked, evaluations, kept = zip(*generations, strict=True)
+    n_children = [len(children.identity) for children in asked]
     designs = Designs.from_table(np.concatenate([children.table for children in asked]))
+    columns = {
+        "generation": [np.repeat(np.arange(first_generation, first_generation + len(asked)), n_children)],
+        **{name: [getattr(children, name) for children in asked] for name in ("identity", "operator")},
+        **{name: [children.extra[name] for children in asked] for name in search.columns},
+        **{name: [getattr(children, name) for children in asked] for name in ("parents", "n_draws")},
+        "survived": [np.isin(children.identity, after.identity) for children, after in zip(asked, kept, strict=True)],
+        **{field.name: [getattr(evaluation, field.name) for evaluation in evaluations] for field in fields(Evaluation)},
+    }
     return {
-        "generation": np.repeat(np.arange(first_generation, first_generation + len(asked)), n_children),
-        **{
-            name: np.concatenate([getattr(children, name) for children in asked])
-            for name in ("identity", "operator", "age", "parents", "n_draws")
-        },
-        "survived": np.concatenate([_survived(*pair) for pair in zip(asked, survivors, strict=True)]),
-        **{
-            name: np.concatenate([getattr(evaluation, name) for evaluation in evaluations])
-            for name in ("fitness", "displacement", "com_displacement")
-        },
+        **{name: np.concatenate(parts) for name, parts in columns.items()},
         **{name: np.ascontiguousarray(genes) for name, genes in designs.arrays()},
     }
-
-
-def _survived(children: Children, survivors: Population) -> Bools:
-    """Mark the children that are among the survivors."""
-    index: Int64 = survivors.identity - children.identity[0]  # negative for designs of earlier generations
-    survived = np.zeros(len(children.age), dtype=bool)
-    survived[index[index >= 0]] = True
-    return survived

@@ -1,4 +1,4 @@
-"""The recipes of docs/extending.md for a medium, an objective, an analysis and genes, performed in a copy and run."""
+"""The recipes of docs/extending.md for a medium, an objective, a search, an analysis and genes, performed and run."""
 
 import json
 import math
@@ -41,10 +41,15 @@ from pipeline.config.settings import Settings
 from pipeline.store.store import Store
 from pipeline.workflow.record import DrivenStudy
 
-settings = parse(Settings, sys.stdin.read(), name="changed")
+given = sys.stdin.read()
+settings = parse(Settings, given, name="changed")
+changes = ["name=searched", "grid.environments=[honey]", "evolution.search=random_search"]
+changes.append("evolution.random_search={population_size: 8}")
+searched = parse(Settings, given, name="searched", overrides=changes)
 store = Store.open(Path("store"), create=True)
 with serial_cluster() as cluster:
     upstream = run(settings, store, cluster)
+    DrivenStudy(searched, store, print).update(run(searched, store, cluster))
 DrivenStudy(settings, store, print).update(upstream)
 for stage, results in upstream.items():
     for chain, manifests in results.done.items():
@@ -55,15 +60,19 @@ for stage, results in upstream.items():
                 (folder / name).write_bytes(store.read(manifest, name))
 failed = [f"{stage} {of.label}: {why}" for stage in upstream for of, why in upstream[stage].failed.items()]
 reach = puddle.open_study("changed", "store").table("reach")
-print(json.dumps([failed, reach.num_rows, reach.column_names]))
+found = puddle.open_study("searched", "store")
+history, champions = found.table("histories"), found.champions()
+best = [max(history["fitness"].to_pylist()), *history["operator"].unique().to_pylist(), history.num_rows]
+print(json.dumps([failed, reach.num_rows, reach.column_names, [*best, champions["fitness"].to_pylist()]]))
 """
 
-HONEY, OBJECTIVE, ANALYSIS = re.findall(
+HONEY, OBJECTIVE, SEARCH, ANALYSIS = re.findall(
     r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S
 )
 ADDED = {
     "tasks/world/honey.py": HONEY,
     "tasks/evolution/objectives/com_displacement.py": OBJECTIVE,
+    "tasks/evolution/random_search.py": SEARCH,
     "tasks/analysis/tables/reach.py": ANALYSIS,
 }
 LOST = -math.expm1(-5.0 / 60)  # share of a velocity that a step in honey takes
@@ -103,8 +112,9 @@ def test_a_target_an_objective_an_analysis_and_genes(tmp_path):
     command = [sys.executable, "-c", RUN]
     done = subprocess.run(command, cwd=tmp_path, env=environment, input=STUDY, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    failed, n_rows, columns = json.loads(done.stdout.splitlines()[-1])
+    failed, n_rows, columns, (best, operator, n_designs, champions) = json.loads(done.stdout.splitlines()[-1])
     assert failed == [] and (n_rows, columns) == (3, ["environment", "depth", "trial", "longest"])
+    assert (operator, n_designs, champions) == ("random", 4 * 8, [best])
     out = tmp_path / "out"
     (throws,) = (out / "collect").glob("*/transitions.parquet")
     table = polars.read_parquet(throws)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.stages.divergence import in_assessment, in_transfer, in_trial, somewhere
-from pipeline.stages.segments import drawn_column, rejected_column
+from pipeline.stages.segments import DRAWN, REJECTED
 from pipeline.stages.trial_scores import NO_CHAMPION, TrialScores
 from tasks.evolution import OPERATORS
 
@@ -17,7 +17,7 @@ def curve(n_diverged: list[int], *, best: float = 1.0) -> dict[str, np.ndarray]:
     columns = {"generation": 7 + np.arange(n), "n_diverged": np.array(n_diverged), "best_fitness": np.full(n, best)}
     draws = {"random": (140, 40), "mutation": (300, 0), "crossover": (100, 0)}
     for name in OPERATORS:
-        columns[drawn_column(name)], columns[rejected_column(name)] = (np.full(n, count) for count in draws[name])
+        columns[DRAWN + name], columns[REJECTED + name] = (np.full(n, count) for count in draws[name])
     return columns
 
 

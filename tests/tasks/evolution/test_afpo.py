@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from varied_designs import binomial_interval
 
 from tasks.design import random_designs
-from tasks.evolution import EMPTY_POPULATION, Afpo, Population, ask, select, tell
-from tasks.evolution.afpo import RANDOM
+from tasks.evolution import EMPTY_POPULATION, Afpo, Evaluation, Population, select
+from tasks.evolution.breeding import RANDOM
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -24,9 +24,9 @@ def population_of(n: int, *, seed: int = 0) -> Population:
     return Population(
         table=random_designs(n, draw).table.copy(),
         fitness=draw.normal(size=n),
-        age=draw.permutation(np.arange(1, n + 1)),
         identity=np.arange(100, 100 + n),
         n_evaluated=100 + n,
+        extra={"age": draw.permutation(np.arange(1, n + 1))},
     )
 
 
@@ -61,7 +61,7 @@ def test_selection_agrees_with_the_definition(designs: list[tuple[float, int]]) 
 
 def test_shares_of_children() -> None:
     afpo, population, draw = Afpo(), population_of(64), rng(1)
-    operators = np.concatenate([ask(population, draw, afpo).operator for _ in range(150)])
+    operators = np.concatenate([afpo.ask(population, draw).operator for _ in range(150)])
     for operator, share in enumerate((0.15, 0.65, 0.20)):
         low, high = binomial_interval(operators.size, share)
         assert low <= (operators == operator).sum() <= high
@@ -69,7 +69,7 @@ def test_shares_of_children() -> None:
 
 def test_the_fitter_of_two_is_a_parent_in_tournaments() -> None:
     afpo, population, draw = Afpo(parent_selection="tournament"), population_of(8), rng(12)
-    parents = np.concatenate([ask(population, draw, afpo).parents for _ in range(1500)])
+    parents = np.concatenate([afpo.ask(population, draw).parents for _ in range(1500)])
     first = parents[parents[:, 0] >= 0, 0]
     # The design of rank r, 0 for the fittest of 8, is not in a draw of two with all the fitter ones left out ...
     rank = np.argsort(np.argsort(-population.fitness))
@@ -84,9 +84,10 @@ def test_the_fitter_of_two_is_a_parent_in_tournaments() -> None:
 
 def test_after_a_generation_that_diverged_throughout_evolution_starts_again() -> None:
     afpo = Afpo(population_size=8)
-    empty = tell(EMPTY_POPULATION, ask(EMPTY_POPULATION, rng(10), afpo), np.full(8, -np.inf), rng(11), afpo)
+    diverged = Evaluation(np.full(8, -np.inf), np.full((8, 1), np.nan), np.full((8, 1), np.nan))
+    empty = afpo.tell(EMPTY_POPULATION, afpo.ask(EMPTY_POPULATION, rng(10)), diverged, rng(11))
     assert len(empty.designs) == 0
-    children = ask(empty, rng(12), afpo)
+    children = afpo.ask(empty, rng(12))
     assert (children.operator == RANDOM).all()
     np.testing.assert_array_equal(children.identity, np.arange(8, 16))
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tasks.design import Morphology, random_designs
-from tasks.evolution import EMPTY_POPULATION, Afpo, ask, tell
+from tasks.evolution import EMPTY_POPULATION, Afpo, Evaluation
 from tasks.seeding import generator
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
@@ -37,11 +37,17 @@ def evolved(kind: str, n_generations: int) -> str:
     population, digest = EMPTY_POPULATION, hashlib.sha256()
     for generation in range(n_generations):
         rng = generator(1, kind, generation)
-        children = ask(population, rng, afpo, body=body, morphology=morphology)
+        children = afpo.ask(population, rng, body=body, morphology=morphology)
         fitness = np.round(rng.normal(size=afpo.population_size) + children.designs.length_scale.sum(axis=1), 1)
         fitness[rng.random(afpo.population_size) < 0.05] = -np.inf
-        population = tell(population, children, fitness, rng, afpo)
-        for array in (children.age, children.operator, children.parents, children.n_draws, children.designs.table):
+        population = afpo.tell(population, children, Evaluation(fitness, fitness[:, None], fitness[:, None]), rng)
+        for array in (
+            children.extra["age"],
+            children.operator,
+            children.parents,
+            children.n_draws,
+            children.designs.table,
+        ):
             digest.update(np.ascontiguousarray(array).tobytes())
         for array in population.arrays().values():
             digest.update(np.ascontiguousarray(array).tobytes())
