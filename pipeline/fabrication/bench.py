@@ -12,7 +12,6 @@ from tasks.arrays import Float64
 from tasks.design.gait import top_speed
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import KitFinding
-from tasks.fabrication.contacts import passing_contacts
 from tasks.fabrication.kit import Floating, Kit, floating_of
 from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.fabrication.scaling import CONTINUOUS_SHARE, JointLoad, Scales, joint_loads, scales_of
@@ -25,8 +24,6 @@ from tasks.world import Physics
 _SPARE_RANGE = radians(5.0)  # beyond a joint's range that a calibration allows
 _MIN_MARGIN = 1.3  # sagging batteries, cables, wet seals and wear may take a quarter of a data sheet's torque and speed
 _SATURATION = 0.2  # share of the run at the simulated motor's limit, above which its torques underestimate the gait's
-_BRIEF_CONTACT = 0.001  # share of the run up to which a contact does not matter
-_MAX_DEVIATIONS = 2.0  # of the ensemble between its mean and the truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +36,6 @@ class SimulatedRun:
     """(n_steps, n_joints) torques of the motors [N·m of simulation], after settling: before, the motors jump to the
     gait, which a timeline does not."""
     speed: Float64  # (n_steps, n_joints) speeds of the joints [rad/s of simulation]
-    pose: Float64  # (n_steps, n_links, 3) x, y [m of simulation] and angle [rad] of the links
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,17 +87,6 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
             commanded_speed=top_speed(design)[0, list(joints)],
         )
         findings += check_loads(loads, servo)
-        for contact in passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step):
-            if contact.share <= _BRIEF_CONTACT:
-                continue
-            (first, second), parts = contact.links, " and ".join(f"part {part + 1}" for part in contact.parts)
-            where = ("joint " if len(contact.joints) == 1 else "joints ") + " and ".join(map(str, contact.joints))
-            message = (
-                f"links {first} and {second} touch in {contact.share:.1%} of the simulated run, first after "
-                f"{contact.first:.1f} s. On the bench {parts} lie in different layers and pass each other, so the "
-                f"robot moves differently there"
-            )
-            findings.append(KitFinding("warning", where, message))
     floating, tank = floating_of(kit, fluid_density=choices.scaling.fluid_density), source.settings.tank
     # Without a tank the kit floats in slush of the simulated depth, at its scale.
     depth_mm = source.depth * settings.scale_mm_per_m if tank is None else 1000 * tank.depth
@@ -112,7 +97,6 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
             f"the kit has {settings.scale_mm_per_m:g} mm per metre of simulation, the tank of its settings {expected} "
             f"mm. Results from that tank do not apply to this kit; to match it, --set kit.scale_mm_per_m={expected}"
         )
-    about_robot += check_predictions(source.predicted, source.zero_shot)
     findings += [KitFinding("warning", "robot", message) for message in about_robot]
     return Bench(
         scales=scales,
@@ -141,7 +125,6 @@ def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | None:
         duration=rollout.n_measure * physics.time_step,
         torque=rollouts.motor_torque[0][rollout.n_settle :, joints].astype(np.float64),
         speed=trace[:, joints, Column.OMEGA] - trace[:, design.parent[0, joints], Column.OMEGA],
-        pose=trace[:, :, [Column.X, Column.Y, Column.ANGLE]],
     )
 
 
@@ -216,16 +199,3 @@ def check_floating(floating: Floating, tank_mm: float) -> Iterator[str]:
             f"floats while its pockets are dry, but sinks once they are full: it then weighs "
             f"{floating.flooded_share:.2f} times the displaced fluid. Seal the pockets"
         )
-
-
-def check_predictions(displacements: Sequence[float] | None, zero_shot: float | None) -> Iterator[str]:
-    """Check the (n_members) displacements [m of simulation] that an ensemble predicts, also against the target's."""
-    if displacements is None:
-        return
-    mean, deviation = float(np.mean(displacements)), float(np.std(displacements))
-    predicted = f"{mean:+.2f} ± {deviation:.2f} m of simulation"
-    if deviation > abs(mean):
-        yield f"the study's networks disagree on its displacement: {predicted}"
-    if zero_shot is not None and abs(mean - zero_shot) > _MAX_DEVIATIONS * deviation:
-        truth = f"{zero_shot:+.2f} m, more than {_MAX_DEVIATIONS:g} σ away"
-        yield f"the study's networks predict {predicted}, but the target gives {truth}"

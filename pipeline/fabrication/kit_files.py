@@ -1,4 +1,4 @@
-"""What others read of a kit: its manifest, servo timelines (timeline.json, timeline.csv) and calibration.yaml."""
+"""What others read of a kit: its manifest, timeline.json of its servos, and calibration.yaml."""
 
 import csv
 import io
@@ -66,17 +66,6 @@ def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
             "pulse_us": sent.T.tolist(),
         }
     )
-
-
-def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
-    """Encode the same as CSV, one row per frame. Raises as :func:`timeline_json`."""
-    sent = pulses(timeline, calibration)
-    angles = [f"joint_{joint}_rad" for joint in timeline.joints]
-    widths = [f"channel_{servo.channel}_us" for servo in calibration.servos]
-    decimals = [2, *len(angles) * [_RADIAN_DIGITS], *len(widths) * [_PULSE_DIGITS]]
-    table = np.column_stack([timeline.time, timeline.angle, sent])
-    rows = ([f"{value:.{n}f}" for value, n in zip(values, decimals, strict=True)] for values in table)
-    return csv_table(["time_s", *angles, *widths], rows)
 
 
 def read_timeline(path: Path) -> Timeline:

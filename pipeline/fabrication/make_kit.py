@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_files import KIT, calibration_yaml, timeline_csv, timeline_json, write_folder
+from pipeline.fabrication.kit_files import KIT, calibration_yaml, timeline_json, write_folder
 from pipeline.fabrication.source import DesignSource
 from pipeline.stages import environments
 from pipeline.store.design_file import design_document
@@ -56,7 +56,6 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
         files["calibration.yaml"] = calibration_yaml(bench.calibration, heading)
         if bench.timeline is not None:
             files["timeline.json"] = timeline_json(bench.timeline, bench.calibration)
-            files["timeline.csv"] = timeline_csv(bench.timeline, bench.calibration)
     page = render_kit(kit, bench, source, choices, findings=findings, physics=physics, folder=place.name)
     files["index.html"] = page.encode()
     metrics = {"n_faults": float(n_faults), "mass_g": kit.mass_g, "submerged_share": bench.floating.sealed_share}

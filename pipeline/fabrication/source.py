@@ -29,7 +29,6 @@ class DesignSource:
     depth: float  # depth of the slush in the simulation [m]
     predicted: tuple[float, ...] | None
     """(n_members) displacements that the study's ensemble predicts [m of simulation], if there is one."""
-    zero_shot: float | None = None  # its score in the target [m of simulation], if the study has one
 
     @property
     def environment(self) -> str:
@@ -74,7 +73,7 @@ def proposed(study: Study) -> DesignSource:
         f"{len(rows)} champions, {zero_shot.mean():+.2f} m."
     )
     name, predicted = f"{study.name}-trial-{trial}", _predictions(study, design, depth, trial)
-    return DesignSource(design, name, origin, study.settings, depth, predicted, float(zero_shot[chosen]))
+    return DesignSource(design, name, origin, study.settings, depth, predicted)
 
 
 def _predictions(study: Study, design: Designs, depth: float, trial: int) -> tuple[float, ...] | None:

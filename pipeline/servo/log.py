@@ -19,7 +19,7 @@ class LogEntry:
 
     time: float  # time since the run began, by the host's monotonic clock [s]
     event: str = ""
-    """Empty for a pulse; "position", "off" or "home"; or how the run began or ended, in words."""
+    """Empty for a pulse; "position" or "off"; or how the run began or ended, in words."""
     frame: int | None = None  # frame of the timeline
     channel: int | None = None
     wanted: float | None = None  # pulse that the timeline asked for [µs]

@@ -20,7 +20,7 @@ from pipeline.errors import PuddleError
 from pipeline.servo.servo_controller import ControllerError, PortLostError
 
 _SET_TARGET, _SET_SPEED, _SET_ACCELERATION = 0x84, 0x87, 0x89
-_GET_POSITION, _GET_ERRORS, _GO_HOME = 0x90, 0xA1, 0xA2
+_GET_POSITION, _GET_ERRORS = 0x90, 0xA1
 _UNITS_PER_US = 4  # a target is in quarters of a microsecond
 _SPEED_UNIT_US = 25.0  # a speed is in quarters of a microsecond per 10 ms, that is 25 µs/s
 _ERRORS_BY_BIT = (
@@ -86,10 +86,6 @@ class Maestro:
         if bits := self._read_errors():
             names = [name for bit, name in enumerate(_ERRORS_BY_BIT) if bits >> bit & 1]
             raise ControllerError(f"{self.name}: the controller reports: {'; '.join(names)}")
-
-    def home(self) -> None:
-        """Put every channel into the state that its settings give for errors."""
-        self._write(bytes((_GO_HOME,)))
 
     def off(self, channels: tuple[int, ...]) -> None:
         """Stop the pulses of channels."""

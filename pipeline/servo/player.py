@@ -218,9 +218,6 @@ class Player:
             # If the port is lost, switching off fails too and reports it.
             with suppress(PortLostError, ControllerError):
                 where = self._return_to_neutral(self.stop.count)
-                if failure is not None:
-                    self._note("home")
-                    self.controller.home()
         finally:
             self._switch_off(failure, where or self._short_of_neutral())
 

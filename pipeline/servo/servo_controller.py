@@ -36,9 +36,6 @@ class ServoController(Protocol):
     def check(self) -> None:
         """Raise ControllerError if the controller reports errors."""
 
-    def home(self) -> None:
-        """Put every channel into the state that the user configured for errors, if the controller has one."""
-
     def off(self, channels: tuple[int, ...]) -> None:
         """Stop the pulses, which leaves the servos limp."""
 
@@ -54,4 +51,4 @@ class DryRunController:
     def _accept(self, *_: object, **__: object) -> None:
         """Do nothing."""
 
-    prepare = send = position = check = home = off = close = _accept
+    prepare = send = position = check = off = close = _accept

@@ -58,7 +58,7 @@ class Morphology(Parameters):
         """Find the designs that meet all constraints but the number of motors, (n_designs,)."""
         allowed = np.ones(len(designs), dtype=bool)
         if self.max_joint_speed is not None:
-            allowed &= joint_speed(designs).max(axis=1) <= self.max_joint_speed
+            allowed &= np.where(designs.motor_on, top_speed(designs), 0.0).max(axis=1) <= self.max_joint_speed
         if self.unjoined_links != "may_overlap":
             allowed[allowed] = links_apart(designs[allowed])
         if self.unjoined_links == "apart_in_gait":
@@ -101,11 +101,6 @@ def links_apart(designs: Designs) -> Bools:
     apart = np.zeros(len(designs), dtype=bool)
     apart[left] = True
     return apart
-
-
-def joint_speed(designs: Designs) -> Float64:
-    """Return the highest speed at which motors swing joints, (n_designs, n_links) [rad/s]; 0 without a motor."""
-    return np.where(designs.motor_on, top_speed(designs), 0.0)
 
 
 def apart_in_gait(designs: Designs) -> Bools:

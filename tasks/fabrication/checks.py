@@ -7,22 +7,19 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import degrees, inf, pi
+from math import degrees, inf
 from typing import Literal
 
 from shapely.geometry.base import BaseGeometry
 
 from tasks.fabrication.assembly import Assembly
 from tasks.fabrication.built_bodies import Pose, moved
-from tasks.fabrication.servo_joints import ServoJoint
 from tasks.fabrication.splits import bed_mm
 
 Severity = Literal["fault", "warning"]
 
 _VARIANT_MOTORS = 2  # actuated joints of the physical variant; paper, "Manufacturing"
 _ROUNDING_MM, _ROUNDING_MM2 = 1e-6, 0.01
-_YOUNG_PA = 193e9  # stainless steel 304
-_LAG_LIMIT = pi / 18  # lag of one pontoon behind the other that is worth a warning [rad]
 _NECK_STEP_MM = 0.25
 
 
@@ -134,36 +131,6 @@ def _rods(assembly: Assembly) -> Iterator[KitFinding]:
             yield KitFinding("fault", body.name, message)
         elif len(rods) < 2:
             yield KitFinding("warning", body.name, "has room for 1 of 2 rods, so its copies twist more")
-    for servo_joint in assembly.servo_joints if settings.servos_per_joint == 1 else ():
-        lag = lag_rad(assembly, servo_joint)
-        if lag > _LAG_LIMIT:
-            angle = f"{degrees(lag):.0f}°" if lag < pi / 2 else "more than 90°"
-            message = (
-                f"the pontoon without a servo lags by {angle} when half of the full torque acts there. Use two "
-                f"servos (--set kit.servos_per_joint=2) or thicker rods (--set kit.rod_mm=...)"
-            )
-            yield KitFinding("warning", f"joint {servo_joint.joint.link}", message)
-
-
-def lag_rad(assembly: Assembly, servo_joint: ServoJoint) -> float:
-    """Estimate how far [rad] the pontoon without a servo lags at a joint if half of the full torque acts there.
-
-    A rod clamped at both ends resists a sideways shift of its ends with 12 E I / L³, where L is its free length. Rods
-    at distances r from the joint's axis resist a turn about it with the sum of that times r². The lags of both parts
-    add up. The lag is infinite if a part has no rod away from the axis.
-    """
-    settings, layers = assembly.settings, assembly.layers
-    inertia = pi * (settings.rod_mm / 1000) ** 4 / 64
-    lag = 0.0
-    for body in (servo_joint.carrier, servo_joint.driven):
-        free = (layers.rod_length_mm(body, settings) - 2 * settings.thickness_mm) / 1000
-        sideways = 12 * _YOUNG_PA * inertia / free**3
-        at = servo_joint.joint.at
-        reach2 = sum((x - at[0]) ** 2 + (y - at[1]) ** 2 for x, y in layers.rods[body]) / 1e6
-        if reach2 == 0.0:
-            return inf
-        lag += servo_joint.servo.stall_torque_nm / 2 / (sideways * reach2)
-    return lag
 
 
 def _bed(assembly: Assembly) -> Iterator[KitFinding]:

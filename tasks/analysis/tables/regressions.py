@@ -14,7 +14,7 @@ import numpy as np
 
 from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, is_constant, of_means
 from tasks.analysis.registry import Assessed, StudyData, analysis, column
-from tasks.arrays import Bools, Float64, Int64
+from tasks.arrays import Float64, Int64
 from tasks.evolution import Deviation, penalised_mean
 from tasks.residual import ensemble_of_data_set
 from tasks.world import environment_kind
@@ -83,51 +83,42 @@ def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64
 
 
 def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.random.Generator) -> list[Regression]:
-    """Assess the ensemble that learned from a data set."""
-    predictors, y = predictors_of(assessed.predicted, deviation), assessed.true
-    moments, lines = list[Float64](), dict[str, Callable[[Float64], Float64]]()
-    for name, x in predictors.items():
-        used = np.isfinite(x) & np.isfinite(y)
-        if used.sum() >= _MIN_DESIGNS and not is_constant(x[used], resolution=RESOLUTION):
-            rows, lines[name] = _moments(x, y, used)
-            moments.append(rows)
-    trials, first, trial = np.unique(assessed.trial, return_index=True, return_inverse=True)
+    """Assess the ensemble that learned from a data set, by the designs that diverged nowhere."""
+    predictors = predictors_of(assessed.predicted, deviation)
+    x, y = np.stack(list(predictors.values())), assessed.true
+    used = np.isfinite(y) & np.isfinite(x).all(axis=0)
+    found: Sequence[Estimate] = [MISSING] * 3 * len(x)
+    if used.sum() >= _MIN_DESIGNS:
+        _, first, trial = np.unique(np.array(assessed.trial)[used], return_index=True, return_inverse=True)
+        rows, figures = _moments(x[:, used], y[used])
+        sums = np.zeros((len(first), rows.shape[1]))
+        np.add.at(sums, trial, rows)
+        found = _estimated(figures, sums, assessed.replicate[used][first], rng)
+    has_r = not is_constant(y[used], resolution=RESOLUTION)
+    of_each = {name: found[3 * i : 3 * i + 3] for i, name in enumerate(predictors)}
+    return [Regression(group, name, r if has_r else MISSING, *line) for name, (r, *line) in of_each.items()]
+
+
+def _moments(x: Float64, y: Float64) -> tuple[Float64, Callable[[Float64], Float64]]:
+    """Return rows of 1, u, w, u², w², uw for each predictor, and the regressions by their means.
+
+    u, w are (n_predictors, n_designs) x and y, centred and scaled. Sums of squares then lose no digits, and a resample
+    without spread is recognised.
+    """
+    x0, sx = x.mean(axis=1), np.where(np.ptp(x, axis=1) > RESOLUTION, x.std(axis=1), np.nan)
+    y0, sy = y.mean(), y.std() or 1.0
+    u, w = (x - x0[:, None]) / sx[:, None], np.broadcast_to((y - y0) / sy, x.shape)
 
     def figures(means: Float64) -> Float64:
-        """Return R, slope and intercept of each predictor in turn."""
-        parts = np.split(means, len(lines), axis=-1)
-        return np.concatenate([line(part) for line, part in zip(lines.values(), parts, strict=True)], axis=-1)
-
-    found: dict[str, Sequence[Estimate]] = {}
-    if lines:
-        sums = np.zeros((len(trials), 6 * len(lines)))
-        np.add.at(sums, trial, np.concatenate(moments, axis=1))
-        estimates = _estimated(figures, sums, assessed.replicate[first], rng)
-        found = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(lines)}
-    spread = not is_constant(y[np.isfinite(y)], resolution=RESOLUTION)
-    of_all = {name: found.get(name, (MISSING,) * 3) for name in predictors}
-    return [Regression(group, name, r if spread else MISSING, *line) for name, (r, *line) in of_all.items()]
-
-
-def _moments(x: Float64, y: Float64, used: Bools) -> tuple[Float64, Callable[[Float64], Float64]]:
-    """Return (n_designs, 6) of 1, u, w, u², w², uw, and the line of their means; u, w are x, y centred and scaled.
-
-    Sums of squares then lose no digits, and a resample without spread is recognised.
-    """
-    x0, sx = float(x[used].mean()), float(x[used].std())
-    y0, sy = float(y[used].mean()), float(y[used].std()) or 1.0
-    u, w = np.where(used, (x - x0) / sx, 0.0), np.where(used, (y - y0) / sy, 0.0)
-
-    def line(means: Float64) -> Float64:
-        """Fit least squares to (..., 6) means: (..., 3) Pearson's R, slope, intercept."""
-        share, *sums = np.moveaxis(means, -1, 0)
+        """Fit least squares to (..., n_predictors * 6) means: (..., n_predictors * 3) Pearson's R, slope, intercept."""
+        share, *sums = np.moveaxis(means.reshape(*means.shape[:-1], len(x), 6), -1, 0)
         u1, w1, uu, ww, uw = (one / share for one in sums)
         var_u, var_w = (np.where(v > 1e-20, v, np.nan) for v in (uu - u1 * u1, ww - w1 * w1))
         slope = (uw - u1 * w1) / var_u * sy / sx
         r = np.clip((uw - u1 * w1) / np.sqrt(var_u * var_w), -1, 1)
-        return np.stack((r, slope, (y0 + sy * w1) - slope * (x0 + sx * u1)), axis=-1)
+        return np.stack((r, slope, (y0 + sy * w1) - slope * (x0 + sx * u1)), axis=-1).reshape(*means.shape[:-1], -1)
 
-    return np.stack((used, u, w, u * u, w * w, u * w), axis=-1), line
+    return np.stack((np.ones_like(u), u, w, u * u, w * w, u * w), axis=-1).swapaxes(0, 1).reshape(len(y), -1), figures
 
 
 def _estimated(

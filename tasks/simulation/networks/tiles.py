@@ -8,7 +8,8 @@ terms in their order, by fused multiply-adds. So its bits depend neither on othe
 # ruff: noqa: ARG001 (numba gives every intrinsic its context)
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 from llvmlite import ir
@@ -51,32 +52,16 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
         first = builder.insert_element(undefined, one, ir.Constant(ir.IntType(32), 0))
         return builder.shuffle_vector(first, undefined, to_all)
 
-    fma = _fma(builder)
+    def factors(k: ir.Value) -> tuple[list[ir.Value], list[ir.Value]]:
+        rows = [
+            builder.load(lanes_at(x, builder.add(builder.mul(number(v), n_in), k)), align=NUMBER * N_LANES)
+            for v in vectors
+        ]
+        first_weight = builder.mul(k, number(n_units))
+        return rows, [in_all_lanes(weight, builder.add(first_weight, number(unit))) for unit in units]
+
     biases = [in_all_lanes(bias, number(unit)) for unit in units]
-    before = builder.block
-    loop, after = builder.append_basic_block("inputs"), builder.append_basic_block("tile")
-    builder.branch(loop)
-
-    builder.position_at_end(loop)
-    k = builder.phi(size)
-    k.add_incoming(number(0), before)
-    sums = [[builder.phi(vector) for _ in units] for _ in vectors]
-    rows = [
-        builder.load(lanes_at(x, builder.add(builder.mul(number(v), n_in), k)), align=NUMBER * N_LANES) for v in vectors
-    ]
-    first_weight = builder.mul(k, number(n_units))
-    weights = [in_all_lanes(weight, builder.add(first_weight, number(unit))) for unit in units]
-    totals = [[builder.call(fma, [rows[v], weights[unit], sums[v][unit]]) for unit in units] for v in vectors]
-    following = builder.add(k, number(1))
-    k.add_incoming(following, loop)
-    for v in vectors:
-        for unit in units:
-            sums[v][unit].add_incoming(biases[unit], before)
-            sums[v][unit].add_incoming(totals[v][unit], loop)
-    again = builder.cbranch(builder.icmp_signed("<", following, n_in), loop, after)
-    again.set_metadata("llvm.loop", _not_unrolled(builder.module))
-
-    builder.position_at_end(after)
+    totals = _accumulate(builder, n_in, [biases for _ in vectors], factors)
     # One bound for both cases: a choice per vector would become a jump per vector.
     least = builder.select(relu, *(ir.Constant(vector, [bound] * N_LANES) for bound in (0.0, -math.inf)))
     for v in vectors:
@@ -87,11 +72,39 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
             builder.store(value, lanes_at(out, where), align=NUMBER * N_LANES)
 
 
-def _fma(builder: ir.IRBuilder) -> ir.Function:
+def _accumulate(
+    builder: ir.IRBuilder,
+    n: ir.Value,
+    starts: Sequence[Sequence[ir.Value]],
+    factors: Callable[[ir.Value], tuple[list[ir.Value], list[ir.Value]]],
+) -> list[list[ir.Value]]:
+    """Emit a loop of n rounds that adds products to sums, and return the totals: sums[i][j] += rows[i] · columns[j].
+
+    ``factors`` emits the rows and columns of a round.
+    """
     vector = ir.VectorType(ir.FloatType(), N_LANES)
-    return cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(vector, [vector] * 3), f"llvm.fma.v{N_LANES}f32"
-    )
+    fma_type = ir.FunctionType(vector, [vector] * 3)
+    fma = cgutils.get_or_insert_function(builder.module, fma_type, f"llvm.fma.v{N_LANES}f32")
+    before, loop, after = builder.block, builder.append_basic_block("round"), builder.append_basic_block("sums")
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    k = builder.phi(n.type)
+    k.add_incoming(ir.Constant(n.type, 0), before)
+    sums = [[builder.phi(vector) for _ in row] for row in starts]
+    rows, columns = factors(k)
+    totals = [
+        [builder.call(fma, [row, column, one]) for column, one in zip(columns, of_row, strict=True)]
+        for row, of_row in zip(rows, sums, strict=True)
+    ]
+    following = builder.add(k, ir.Constant(n.type, 1))
+    k.add_incoming(following, loop)
+    for one, start, total in zip(chain(*sums), chain(*starts), chain(*totals), strict=True):
+        one.add_incoming(start, before)
+        one.add_incoming(total, loop)
+    again = builder.cbranch(builder.icmp_signed("<", following, n), loop, after)
+    again.set_metadata("llvm.loop", _not_unrolled(builder.module))
+    builder.position_at_end(after)
+    return totals
 
 
 def _not_unrolled(module: ir.Module) -> ir.MDValue:
@@ -137,33 +150,15 @@ def _products(
         lanes = (ir.Constant(size, k * N_LANES) for k in range(n))
         return [builder.load(at(pointer, builder.add(first, k)), align=NUMBER * N_LANES) for k in lanes]
 
-    fma = _fma(builder)
+    def factors(v: ir.Value) -> tuple[list[ir.Value], list[ir.Value]]:
+        of_inputs = rows(x, builder.mul(v, x_step), n_inputs)
+        return of_inputs, rows(error, builder.mul(v, error_step), n_units)
+
     places = [[at(sums, builder.mul(sums_step, ir.Constant(size, k * n_units + u))) for u in units] for k in inputs]
-    before_loop = [[builder.load(place, align=NUMBER * N_LANES) for place in row] for row in places]
-    before = builder.block
-    loop, after = builder.append_basic_block("vectors"), builder.append_basic_block("products")
-    builder.branch(loop)
-
-    builder.position_at_end(loop)
-    v = builder.phi(size)
-    v.add_incoming(ir.Constant(size, 0), before)
-    partial = [[builder.phi(vector) for _ in units] for _ in inputs]
-    of_inputs = rows(x, builder.mul(v, x_step), n_inputs)
-    of_units = rows(error, builder.mul(v, error_step), n_units)
-    totals = [[builder.call(fma, [of_inputs[k], of_units[u], partial[k][u]]) for u in units] for k in inputs]
-    following = builder.add(v, ir.Constant(size, 1))
-    v.add_incoming(following, loop)
-    for k in inputs:
-        for u in units:
-            partial[k][u].add_incoming(before_loop[k][u], before)
-            partial[k][u].add_incoming(totals[k][u], loop)
-    again = builder.cbranch(builder.icmp_signed("<", following, n_vectors), loop, after)
-    again.set_metadata("llvm.loop", _not_unrolled(builder.module))
-
-    builder.position_at_end(after)
-    for k in inputs:
-        for u in units:
-            builder.store(totals[k][u], places[k][u], align=NUMBER * N_LANES)
+    starts = [[builder.load(place, align=NUMBER * N_LANES) for place in row] for row in places]
+    totals = _accumulate(builder, n_vectors, starts, factors)
+    for total, place in zip(chain(*totals), chain(*places), strict=True):
+        builder.store(total, place, align=NUMBER * N_LANES)
 
 
 def _products_of(n_inputs: int, n_units: int) -> Any:

@@ -15,7 +15,7 @@ from numpy import float32
 
 from tasks.compiled import inline
 from tasks.simulation import box2d
-from tasks.simulation.rigid_bodies.layout import GROUND, BodyRecord, ContactPointRecord, ContactRecord, RobotRecord
+from tasks.simulation.rigid_bodies.layout import BodyRecord, ContactPointRecord, ContactRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, rotate, transform
 from tasks.simulation.trees.joint import clamp
 
@@ -118,16 +118,6 @@ def solve_velocity_constraint(robot: RobotRecord, contact: ContactRecord, fricti
     The impulses stay in the contact for the next step, so StoreImpulses has nothing to do.
     """
     body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
-    if contact.body_a == GROUND:
-        _solve_velocity_constraint_on_ground(contact, body_b, friction)
-    else:
-        _solve_velocity_constraint(contact, body_a, body_b, friction)
-
-
-@inline
-def _solve_velocity_constraint(
-    contact: ContactRecord, body_a: BodyRecord, body_b: BodyRecord, friction: float32
-) -> None:
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     vA_x, vA_y, wA = body_a.v_x, body_a.v_y, body_a.w
     vB_x, vB_y, wB = body_b.v_x, body_b.v_y, body_b.w
@@ -160,28 +150,6 @@ def _solve_velocity_constraint(
         turn_b = (point_1.rb_x * P1_y - point_1.rb_y * P1_x) + (point_2.rb_x * P2_y - point_2.rb_y * P2_x)
     body_a.v_x, body_a.v_y, body_a.w = vA_x - mA * P_x, vA_y - mA * P_y, wA - iA * turn_a
     body_b.v_x, body_b.v_y, body_b.w = vB_x + mB * P_x, vB_y + mB * P_y, wB + iB * turn_b
-
-
-@inline
-def _solve_velocity_constraint_on_ground(contact: ContactRecord, body_b: BodyRecord, friction: float32) -> None:
-    # As above with n = (0, 1) and no motion of body A; factors of 0 and 1 are left out.
-    mB, iB = body_b.inv_mass, body_b.inv_inertia
-    v_x, v_y, w = body_b.v_x, body_b.v_y, body_b.w
-    for j in range(contact.solved_count):
-        point = contact.points[j]
-        impulse = _friction_impulse(point, v_x - w * point.rb_y, friction)
-        v_x = v_x + mB * impulse
-        w = w - iB * (point.rb_y * impulse)
-
-    point_1, point_2 = contact.points[0], contact.points[1]
-    Cdot_1 = v_y + w * point_1.rb_x
-    if contact.solved_count == 1:
-        impulse = _normal_impulse(point_1, Cdot_1)
-        turn = point_1.rb_x * impulse
-    else:
-        d_1, d_2 = _normal_impulses(contact, Cdot_1, v_y + w * point_2.rb_x)
-        impulse, turn = d_1 + d_2, point_1.rb_x * d_1 + point_2.rb_x * d_2
-    body_b.v_x, body_b.v_y, body_b.w = v_x, v_y + mB * impulse, w + iB * turn
 
 
 @inline

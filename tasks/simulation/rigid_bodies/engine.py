@@ -67,19 +67,15 @@ class Robots:
         return work
 
     def advance(self, scene: Scene, first_step: int, n_steps: int, trace: Float32 | None) -> None:
-        """Take steps with all robots.
+        """Take steps; step 0 spawns the robots first.
 
-        Step 0 spawns the robots first. The states after each step fill ``trace``, (n_robots, at least n_steps, n_links,
-        6).
+        The states after each step fill ``trace``, (n_robots, n_steps, n_links, 6).
         """
-        each = max(1, self.n_robots) if trace is None else step.TEAM
-        for first in range(0, self.n_robots, each):
-            robots = self.records[first : first + each]
-            states = np.empty((0 if trace is None else len(robots), n_steps, N_LINKS, 6), np.float32)
-            with np.errstate(all="ignore"):  # without the compiler NumPy would warn
-                _advance(robots, scene, first_step, first_step + n_steps, states)
-            if trace is not None:
-                trace[first : first + each] = states
+        states = np.empty((0 if trace is None else self.n_robots, n_steps, N_LINKS, 6), np.float32)
+        with np.errstate(all="ignore"):  # without the compiler NumPy would warn
+            _advance(self.records, scene, first_step, first_step + n_steps, states)
+        if trace is not None:
+            trace[:] = states
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps without a trace in a medium that is a network for each member, all in one kernel."""

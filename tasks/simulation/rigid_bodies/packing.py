@@ -21,11 +21,9 @@ def boxes(half_width: Float32, half_height: Float32) -> tuple[Float32, Float32]:
     return vertices, np.broadcast_to(normals, vertices.shape)
 
 
-def _rotated(vectors: Float32, cos: Float32, sin: Float32) -> Float32:
-    """b2Mul(q, v) of (..., 4, 2) vectors."""
-    x, y = vectors[..., 0], vectors[..., 1]
-    c, s = cos[..., None], sin[..., None]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+def _dot(a: Float32, b: Float32) -> Float32:
+    product: Float32 = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+    return product
 
 
 def compute_mass(vertices: Float32, density: float) -> tuple[Float32, Float32, Float32]:
@@ -58,9 +56,11 @@ def compute_mass(vertices: Float32, density: float) -> tuple[Float32, Float32, F
     return mass, from_origin, inertia
 
 
-def _dot(a: Float32, b: Float32) -> Float32:
-    product: Float32 = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
-    return product
+def _rotated(vectors: Float32, cos: Float32, sin: Float32) -> Float32:
+    """b2Mul(q, v) of (..., 4, 2) vectors."""
+    x, y = vectors[..., 0], vectors[..., 1]
+    c, s = cos[..., None], sin[..., None]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
 def _reset_mass_data(

@@ -1,23 +1,6 @@
 """Revolute joints with motors: Box2D 2.3's b2RevoluteJoint, operation by operation.
 
-Point constraint, with r the joint seen from each centre of mass c and cross(w, r) = w (-r_y, r_x):
-
-    C    = cB + rB - cA - rA
-    Cdot = vB + cross(wB, rB) - vA - cross(wA, rA)
-    J    = [-1 0  rA_y  1 0 -rB_y]        for (vA, wA, vB, wB)
-           [0 -1 -rA_x  0 1  rB_x]
-    K    = J M⁻¹ Jᵀ
-         = [mA + mB + rA_y² iA + rB_y² iB     -rA_y rA_x iA - rB_y rB_x iB ]
-           [-rA_y rA_x iA - rB_y rB_x iB      mA + mB + rA_x² iA + rB_x² iB]
-
-Motor constraint:
-
-    Cdot = wB - wA - motor speed
-    J    = [0 0 -1  0 0 1]
-    K    = iA + iB
-
-m and i are inverse masses and inertias. An impulse P = -K⁻¹ Cdot, or -K⁻¹ C for positions, changes the velocities, or
-the positions, by M⁻¹ Jᵀ P.
+The constraints, their Jacobians and K are those of tasks/simulation/trees/joint.py.
 """
 
 from numpy import float32

@@ -70,22 +70,6 @@ def from_row(block: Block, row: int) -> Block:
     return as_block(block.rows[row:])
 
 
-def count_parts(block: Block) -> int:
-    """Return the number of parts of a block: 2 halves of its lanes, or 1 if a row fits one vector register."""
-    return n_parts(block.n_lanes)
-
-
-def n_parts(n_lanes: int) -> int:
-    """Return the number of parts of a block with n_lanes lanes."""
-    return 2 if n_lanes > widest() // 2 else 1
-
-
-def part(block: Block, index: int) -> Block:
-    """View one part of a block: some of its lanes in all its rows."""
-    n_lanes = block.n_lanes // count_parts(block)
-    return as_block(block.rows[:, index * n_lanes : (index + 1) * n_lanes])
-
-
 def select(mask: Numeric, yes: Numeric, no: Numeric) -> Numeric:
     """Return ``yes`` in lanes where the mask holds, and ``no`` elsewhere; two Python numbers make float32."""
     if isinstance(yes, float) and isinstance(no, float):

@@ -41,17 +41,11 @@ class _LanesType(types.Type):
 
 
 class _BlockType(types.Type):
-    """numba's type of a :class:`Block` with a given number of lanes, or of some lanes of a wider one."""
+    """numba's type of a :class:`Block` with a given number of lanes."""
 
-    def __init__(self, count: int, apart: int = 1) -> None:
-        """Set the number of lanes, and the distance between the starts of two rows in multiples of it."""
-        self.count, self.apart = count, apart
-        super().__init__(name=f"Block({count}, {apart})")
-
-    @property
-    def part(self) -> _BlockType:
-        n_parts = simd.n_parts(self.count)
-        return _BlockType(self.count // n_parts, self.apart * n_parts)
+    def __init__(self, count: int) -> None:
+        self.count = count
+        super().__init__(name=f"Block({count})")
 
 
 def _vector(lanes: _LanesType) -> ir.VectorType:
@@ -72,7 +66,7 @@ class _BlockModel(models.PrimitiveModel):
 
 @typeof_impl.register(Block)
 def _typeof_block(block: Block, context: Any) -> _BlockType:
-    return _BlockType(block.n_lanes, block.rows.strides[0] // (4 * block.n_lanes))
+    return _BlockType(block.n_lanes)
 
 
 @unbox(_BlockType)
@@ -287,14 +281,9 @@ def _align(n_lanes: int) -> int:
     return min(ALIGNMENT, n_bytes & -n_bytes)
 
 
-def _row(builder: ir.IRBuilder, block_type: _BlockType, block: ir.Value, row: ir.Value) -> ir.Value:
-    return builder.gep(block, [builder.mul(row, ir.Constant(row.type, block_type.apart))])
-
-
 @_teaches(operator.getitem, _BlockType, types.Integer, gives=lambda block, row: _LanesType("float32", block.count))
 def _lower_load(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    block_type = signature.args[0]
-    return builder.load(_row(builder, block_type, *args), align=_align(block_type.count))
+    return builder.load(builder.gep(args[0], [args[1]]), align=_align(signature.args[0].count))
 
 
 def _type_store(block: Any, row: Any, lanes: Any) -> Any:
@@ -305,24 +294,13 @@ def _type_store(block: Any, row: Any, lanes: Any) -> Any:
 def _lower_store(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     block_type = signature.args[0]
     value = _as_lanes(context, builder, args[2], signature.args[2], _LanesType("float32", block_type.count))
-    builder.store(value, _row(builder, block_type, *args[:2]), align=_align(block_type.count))
+    builder.store(value, builder.gep(args[0], [args[1]]), align=_align(block_type.count))
     return context.get_dummy_value()
 
 
 @_teaches(simd.from_row, _BlockType, types.Integer, gives=lambda block, row: block)
 def _lower_from_row(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    return _row(builder, signature.args[0], *args)
-
-
-@_teaches(simd.count_parts, _BlockType, gives=lambda block: types.intp)
-def _lower_count_parts(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    return context.get_constant(types.intp, simd.n_parts(signature.args[0].count))
-
-
-@_teaches(simd.part, _BlockType, types.Integer, gives=lambda block, index: block.part)
-def _lower_part(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    halves = builder.bitcast(args[0], context.get_value_type(signature.return_type))
-    return builder.gep(halves, [args[1]])
+    return builder.gep(args[0], [args[1]])
 
 
 @lower_cast(_LanesType, _LanesType)

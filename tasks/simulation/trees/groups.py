@@ -1,24 +1,21 @@
 """Robots of the tree engine: their blocks, and the compiled kernels that step them."""
 
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
-from tasks.design.gait import gaits_of
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
-from tasks.simulation.simd import lanes
 from tasks.simulation.simd.lanes import Block
 from tasks.simulation.trees import layout, packing, step
 from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
 
 advance_kernel = compiled(step.advance, seconds=12)
-_pack_robots = compiled(packing.pack_robots, seconds=2)
 
 
 def _advance_with_networks(
@@ -44,11 +41,6 @@ def _advance_with_networks(
 _advance_coupled = compiled(_advance_with_networks, seconds=5)
 
 
-@cache
-def _no_trace(n_lanes: int) -> Block:
-    return Block(1, n_lanes)
-
-
 class Groups:
     """Robots packed into lanes: robot i is lane i mod n_lanes of group i // n_lanes."""
 
@@ -60,20 +52,9 @@ class Groups:
         self.n_lanes = n_lanes
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
-        self._no_trace = _no_trace(n_lanes)
+        self._no_trace = Block(1, n_lanes)
         self.blocks = self._block.rows.reshape(self.n_groups, layout.N_ROWS, n_lanes)
-        self._number = np.empty((len(designs), N_LINKS), np.int64)  # the engine's numbers of the designs' links
-        max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
-        _pack_robots(
-            designs.table,
-            n_members,
-            n_lanes,
-            physics.link_density,
-            max_motor_impulse,
-            gaits_of(designs, physics.range_of_motion).astype(np.float32),
-            self.blocks,
-            self._number,
-        )
+        self._number = packing.pack(designs, physics, n_members, self.blocks)  # the engine's numbers of the links
 
     @cached_property
     def _robot_of_lane(self) -> Int64:
@@ -102,27 +83,18 @@ class Groups:
         return np.tile(self._number, (self._n_members, 1))
 
     def advance(self, scene: Scene, first_step: int, n_steps: int, trace: Float32 | None) -> None:
-        """Take steps.
+        """Take steps; step 0 orients the links first.
 
-        Step 0 orients the links first. The states after each step fill ``trace``, (n_robots, at least n_steps,
-        n_links, 6).
+        The states after each step fill ``trace``, (n_robots, n_steps, n_links, 6).
         """
-        if trace is None:
-            self._run(self._block, self.n_groups, scene, first_step, n_steps, self._no_trace, False)
-            return
-        for group in range(self.n_groups):
-            block = lanes.from_row(self._block, group * layout.N_ROWS)
-            states = Block(n_steps * layout.N_TRACED, self.n_lanes)
-            self._run(block, 1, scene, first_step, n_steps, states, True)
-            mine = slice(group * self.n_lanes, min((group + 1) * self.n_lanes, self.n_robots))
-            by_robot = states.rows.reshape(n_steps, 6, N_LINKS, self.n_lanes).transpose(3, 0, 2, 1)
-            number = self._number_of_link()[mine, None, :, None]
-            trace[mine] = np.take_along_axis(by_robot[: mine.stop - mine.start], number, axis=2)
-
-    @staticmethod
-    def _run(*arguments: object) -> None:
+        n_rows = 0 if trace is None else self.n_groups * n_steps * layout.N_TRACED
+        states = Block(n_rows, self.n_lanes) if n_rows else self._no_trace
         with np.errstate(all="ignore"):  # without the compiler, lanes are NumPy arrays and would warn
-            advance_kernel(*arguments)
+            advance_kernel(self._block, self.n_groups, scene, first_step, n_steps, states, trace is not None)
+        if trace is not None and n_rows:
+            by_group = states.rows.reshape(self.n_groups, n_steps, 6, N_LINKS, self.n_lanes)
+            by_robot = by_group.transpose(0, 4, 1, 3, 2).reshape(-1, n_steps, N_LINKS, 6)[: self.n_robots]
+            trace[:] = np.take_along_axis(by_robot, self._number_of_link()[:, None, :, None], axis=2)
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps in a medium of one network per member, in a single kernel."""

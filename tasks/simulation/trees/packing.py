@@ -1,8 +1,4 @@
-"""Packing robots into lanes: constants and initial state of each robot, in the rows of its group's block.
-
-In NumPy this would be a hundred calls and a twentieth of the rollouts of 64 designs; compiled it is less than a
-hundredth.
-"""
+"""Packing robots into lanes: constants and initial state of each robot, in the rows of its group's block."""
 
 import itertools
 import math
@@ -11,40 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from tasks.arrays import Float32, Int64
-from tasks.compiled import inline
-from tasks.design.body import spawn_kernel
-from tasks.design.gait import N_NUMBERS
-from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, DesignTable
-from tasks.simulation.simd.lanes import Uniform
+from tasks.design.body import kinematic_trees
+from tasks.design.genes import N_LINKS, Designs
+from tasks.simulation.controller import Controllers
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
-
-_HALF, _QUARTER, _ZERO, _ONE = np.float32(0.5), np.float32(0.25), np.float32(0.0), np.float32(1.0)
-_THIRD = np.float32(1.0) / np.float32(3.0)
-
-_LENGTH, _REST_ANGLE, _FREQUENCY, _MOTOR_ON = (
-    COLUMNS[name].start for name in ("length_scale", "rest_angle", "frequency", "motor_on")
-)
-"""Columns in a table of designs: of the root, followed by the other links; ``frequency`` has one."""
-
-
-@inline
-def inverse_mass_and_inertia(half_width: Uniform, half_height: Uniform, density: Uniform) -> tuple[Uniform, Uniform]:
-    """Return inverse mass [1/kg] and inertia [1/(kg·m²)] of a box by its half axes [m] and density [kg/m²].
-
-    Follows b2PolygonShape::ComputeMass and b2Body::ResetMassData in float32, operation by operation.
-    """
-    x, y = half_width, half_height
-    corner_x, corner_y = (-x, x, x, -x), (-y, -y, y, y)
-    area = inertia = _ZERO * x
-    for i in range(4):
-        ex1, ey1, ex2, ey2 = corner_x[i], corner_y[i], corner_x[(i + 1) % 4], corner_y[(i + 1) % 4]
-        D = ex1 * ey2 - ey1 * ex2
-        area = area + _HALF * D
-        intx2 = ex1 * ex1 + ex2 * ex1 + ex2 * ex2
-        inty2 = ey1 * ey1 + ey2 * ey1 + ey2 * ey2
-        inertia = inertia + (_QUARTER * _THIRD * D) * (intx2 + inty2)
-    return _ONE / (density * area), _ONE / (density * inertia)
+from tasks.world import Physics
 
 
 def discovery_order(parents: Sequence[int]) -> list[int]:
@@ -66,70 +34,65 @@ TREES = list(itertools.product((-1,), *(range(link) for link in range(1, N_LINKS
 """All 120 trees that a robot can have, in lexical order of the parents."""
 _ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
 _NUMBER_OF_TREE = np.argsort(_ORDER_OF_TREE, axis=1)
-TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
+_TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
 """parents · weights is the index of a tree in TREES."""
 
 
-def pack_robots(
-    table: DesignTable,
-    n_members: int,
-    n_lanes: int,
-    density: float,
-    max_motor_impulse: np.float32,
-    gaits: Float32,
-    blocks: Float32,
-    number: Int64,
-) -> None:
-    """Spawn n_members robots of each of n_designs designs in the lanes of blocks.
+def _inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density: float) -> tuple[Float32, Float32]:
+    """Return inverse mass [1/kg] and inertia [1/(kg·m²)] of boxes by their half axes [m] and density [kg/m²].
+
+    b2PolygonShape::ComputeMass adds up four triangles, which are equal in area here; its sums and their order are kept.
+    """
+    xx, yy, area = half_width * half_width, half_height * half_height, half_width * half_height
+    moment = np.float32(0.25) * (np.float32(1) / np.float32(3)) * (area + area)
+    lying, standing = moment * (xx + (yy + yy + yy)), moment * (xx + xx + xx + yy)
+    rho, one = np.float32(density), np.float32(1)
+    return one / (rho * (area + area + area + area)), one / (rho * (lying + standing + lying + standing))
+
+
+def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) -> Int64:
+    """Spawn n_members robots of each of n_designs designs in the lanes of (n_groups, N_ROWS, n_lanes) blocks of zeros.
 
     Robot member · n_designs + design is in lane i mod n_lanes of group i // n_lanes. Lanes left over at the end get
     copies of the last robot.
 
-    ``gaits`` are (N_NUMBERS, n_designs, n_links) numbers, ``max_motor_impulse`` [N·m·s] the most in a step of a motor
-    that is on. Filled are the zeros of ``blocks``, (n_groups, N_ROWS, n_lanes), and ``number``, (n_designs,
-    n_links), the engine's numbers of the links.
+    Returns:
+        (n_designs, n_links) the engine's numbers of the links.
     """
-    single, n_robots = np.float32, n_members * len(table)
-    links, one_density = spawn_kernel(table, density), single(density)
-    half_width, half_height, mass, inertia = links[0], links[1], links[2], links[3]
-    parent_anchor, child_anchor, x, y, angle = links[4], links[5], links[6], links[7], links[8]
-    for design in range(len(table)):
-        genes, tree = table[design], 0
-        for link in range(N_LINKS):
-            tree += int(genes[PARENT_COLUMN + link]) * TREE_WEIGHTS[link]
-        for link in range(N_LINKS):
-            number[design, link] = _NUMBER_OF_TREE[tree, link]
-        robot = np.zeros(layout.N_PACKED, single)
-        robot[layout.FREQUENCY] = single(genes[_FREQUENCY])
-        for i in range(N_LINKS):
-            link = _ORDER_OF_TREE[tree, i]
-            length = single(genes[_LENGTH + link])
-            inverse_mass, inverse_inertia = inverse_mass_and_inertia(
-                half_width[design, link], half_height[design, link], one_density
-            )
-            robot[layout.X + i], robot[layout.Y + i] = x[design, link], y[design, link]
-            robot[layout.ANGLE + i] = angle[design, link]
-            robot[layout.HALF_WIDTH + i] = half_width[design, link]
-            robot[layout.HALF_HEIGHT + i] = half_height[design, link]
-            robot[layout.INVERSE_MASS + i], robot[layout.INVERSE_INERTIA + i] = inverse_mass, inverse_inertia
-            robot[layout.LONG_AXIS + i], robot[layout.SHORT_AXIS + i] = length, _ONE / length
-            robot[layout.MASS + i], robot[layout.INERTIA + i] = mass[design, link], inertia[design, link]
-            robot[layout.VERTEX_1 + i] = robot[layout.VERTEX_2 + i] = NO_VERTEX
-            if i > 0:
-                j, above = i - 1, number[design, int(genes[PARENT_COLUMN + link])]
-                robot[layout.PARENT + j] = above
-                robot[layout.PARENT_INVERSE_MASS + j] = robot[layout.INVERSE_MASS + above]  # packed before
-                robot[layout.PARENT_INVERSE_INERTIA + j] = robot[layout.INVERSE_INERTIA + above]
-                robot[layout.PARENT_ANCHOR + j] = parent_anchor[design, link]
-                robot[layout.CHILD_ANCHOR + j] = child_anchor[design, link]
-                robot[layout.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if genes[_MOTOR_ON + link] != 0 else _ZERO
-                robot[layout.REST_ANGLE + j] = single(genes[_REST_ANGLE + link])
-                for k in range(N_NUMBERS):
-                    robot[layout.GAIT + j * N_NUMBERS + k] = gaits[k, design, link]
-        for copy in range(design, n_robots, len(table)):
-            for row in range(len(robot)):
-                blocks[copy // n_lanes, row, copy % n_lanes] = robot[row]
-    last = n_robots - 1
-    for copy in range(n_robots, blocks.shape[0] * n_lanes):
-        for row in range(blocks.shape[1]):
-            blocks[copy // n_lanes, row, copy % n_lanes] = blocks[last // n_lanes, row, last % n_lanes]
+    n_designs, (n_groups, _, n_lanes) = len(designs), blocks.shape
+    tree = designs.parent @ _TREE_WEIGHTS
+    order: Int64 = _ORDER_OF_TREE[tree]
+    number: Int64 = _NUMBER_OF_TREE[tree]
+    trees = kinematic_trees(designs, density=physics.link_density)
+    controllers = Controllers.of(designs, physics.range_of_motion)
+    length = designs.length_scale.astype(np.float32)
+    inverse = _inverse_mass_and_inertia(trees.half_width, trees.half_height, physics.link_density)
+    above = np.take_along_axis(number, np.maximum(designs.parent, 0), axis=1)
+    impulse = controllers.motor_on * (np.float32(physics.time_step) * np.float32(physics.max_motor_torque))
+    pose, sizes = (trees.x, trees.y, trees.angle), (trees.half_width, trees.half_height)
+    masses = length, np.float32(1) / length, trees.mass, trees.inertia
+    anchors = trees.parent_anchor, trees.child_anchor
+
+    def ordered(*quantities: Float32 | Int64) -> Float32:
+        """Return (n_designs, n_quantities, n_links) quantities of the links in the engine's order."""
+        return np.take_along_axis(np.stack(quantities, axis=1, dtype=np.float32), order[:, None], axis=2)
+
+    of_links = ordered(*pose, *sizes, *inverse, *masses)
+    of_joints = ordered(above, *anchors, impulse, controllers.rest_angle, *controllers.gait)[..., 1:]
+    of_parents = np.take_along_axis(of_links[:, 5:7], of_joints[:, :1].astype(np.int64), axis=2)  # of ``inverse``
+    robots = np.zeros((n_designs, layout.N_PACKED), np.float32)
+    for first, end, rows in (
+        (layout.X, layout.VX, of_links[:, :3]),
+        (layout.HALF_WIDTH, layout.PARENT, of_links[:, 3:]),
+        (layout.PARENT, layout.PARENT_INVERSE_MASS, of_joints[:, :1]),
+        (layout.PARENT_INVERSE_MASS, layout.PARENT_ANCHOR, of_parents),
+        (layout.PARENT_ANCHOR, layout.GAIT, of_joints[:, 1:5]),
+        (layout.GAIT, layout.FREQUENCY, of_joints[:, 5:].transpose(0, 2, 1)),
+        (layout.FREQUENCY, layout.N_PACKED, controllers.frequency),
+    ):
+        robots[:, first:end] = rows.reshape(n_designs, end - first)
+    robots[:, layout.VERTEX_1 : layout.NORMAL_1] = NO_VERTEX
+    robot = np.minimum(np.arange(n_groups * n_lanes), n_members * n_designs - 1)
+    of_lanes = robots[robot % max(n_designs, 1)].reshape(n_groups, n_lanes, layout.N_PACKED)
+    blocks[:, : layout.N_PACKED] = of_lanes.transpose(0, 2, 1)
+    return number

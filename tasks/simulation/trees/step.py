@@ -16,7 +16,7 @@ from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS
 from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.simulation.controller import target_angle
-from tasks.simulation.simd.lanes import Block, Numeric, any_lane, count_parts, from_row, part, select, sqrt
+from tasks.simulation.simd.lanes import Block, Numeric, any_lane, from_row, select, sqrt
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
@@ -171,17 +171,6 @@ if N_JOINTS != 5:
 
 
 @inline
-def _part_of_groups(groups: Block, index: int) -> Block:
-    """View a part of a group; parts are counted through all groups.
-
-    Contacts are solved by parts, because a second point costs time in all lanes if any has one: few links touch with
-    two points, but among 32 lanes mostly one does.
-    """
-    n_parts = count_parts(groups)
-    return part(from_row(groups, index // n_parts * at.N_ROWS), index % n_parts)
-
-
-@inline
 def _start_joint(groups: Block, n_groups: int, j: int, scene: Scene) -> None:
     for k in range(n_groups):
         joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene.dt_ratio)
@@ -212,10 +201,10 @@ def _solve_velocities(groups: Block, n_groups: int, scene: Scene, touching: int,
         _sweep_joint(groups, n_groups, 4)
         if touching == 0:  # afloat, or in the air
             continue
-        for index in range(n_groups * count_parts(groups)):
-            block = _part_of_groups(groups, index)
+        for k in range(n_groups):
+            block = from_row(groups, k * at.N_ROWS)
             for link in range(scene.n_links):
-                bit = index * scene.n_links + link
+                bit = k * scene.n_links + link
                 if on_two_points >> bit & 1:
                     contact.solve_both_points(block, link, scene.friction)
                 elif touching >> bit & 1:
@@ -288,20 +277,16 @@ def _end_step(block: Block, scene: Scene, touching: int) -> None:
 
 @inline
 def _take_step(groups: Block, n_groups: int, scene: Scene, step: int) -> None:
-    n_parts = count_parts(groups)
     for k in range(n_groups):
         _push_links(from_row(groups, k * at.N_ROWS), scene, step)
-    touching, on_two_points = 0, 0  # the first part's links are the lowest bits
-    for index in range(n_groups * n_parts):
-        links, links_on_two = _start_contacts(_part_of_groups(groups, index), scene)
-        touching |= links << (index * scene.n_links)
-        on_two_points |= links_on_two << (index * scene.n_links)
+    touching, on_two_points = 0, 0  # the first group's links are the lowest bits
+    for k in range(n_groups):
+        links, links_on_two = _start_contacts(from_row(groups, k * at.N_ROWS), scene)
+        touching |= links << (k * scene.n_links)
+        on_two_points |= links_on_two << (k * scene.n_links)
     _solve_velocities(groups, n_groups, scene, touching, on_two_points)
     for k in range(n_groups):
-        links = 0
-        for index in range(k * n_parts, (k + 1) * n_parts):
-            links |= touching >> (index * scene.n_links)
-        _end_step(from_row(groups, k * at.N_ROWS), scene, links)
+        _end_step(from_row(groups, k * at.N_ROWS), scene, touching >> (k * scene.n_links))
 
 
 @inline

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from pipeline.fabrication.bench import bench_of, check_floating, check_loads, check_predictions
+from pipeline.fabrication.bench import bench_of, check_floating, check_loads
 from pipeline.fabrication.source import DesignSource
 from tasks.fabrication.kit import Floating, build_kit, floating_of
 from tasks.fabrication.kit_settings import FabricationSettings, KitSettings
@@ -56,29 +56,14 @@ def test_floating(draught, sealed, flooded, said):
 
 def test_the_run_and_the_floating_of_a_kit(crane, settings):
     kit = build_kit(crane, KitSettings())
-    source = DesignSource(crane, "crane", "", settings, 1.0, None)
+    one_period = settings.rollout.model_copy(update={"n_settle": 60, "n_measure": 300})
+    source = DesignSource(crane, "crane", "", settings.model_copy(update={"rollout": one_period}), 1.0, None)
     physics = settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
     run = bench_of(source, kit, FabricationSettings(), physics).simulated
-    angle = run.pose[..., 2]
-    turned = np.diff(angle[:, [2, 4]] - angle[:, [0, 1]], axis=0) / physics.time_step  # of children on their parents
-    assert np.median(np.abs(turned - run.speed[1:])) < 0.01 * np.abs(run.speed).max()  # but for the positions' solver
+    turned = np.cumsum(run.speed, axis=0) * physics.time_step  # of children on their parents
+    assert np.ptp(turned, axis=0) == pytest.approx(2 * crane.motion_range[0, [2, 4]], rel=0.05)
     floats = floating_of(kit, fluid_density=1000.0)
     bottom = min(outline.bounds[1] for outline in kit.outlines)
     under = shapely.box(-1e3, bottom, 1e3, bottom + floats.draught_mm)
     area = sum(outline.intersection(under).area for outline in kit.outlines)
     assert 2 * 25.0 * area == pytest.approx(1000 * kit.mass_g, rel=1e-6)  # of two pontoons in water, Archimedes
-
-
-@pytest.mark.parametrize(
-    ("displacement", "truth", "said"),
-    [
-        ((3.0, -1.0), None, "disagree"),  # 1 ± 2
-        ((3.0, 5.0), 5.5, None),  # 4 ± 1, 1.5 σ off
-        ((3.0, 5.0), 6.5, "2 σ away"),
-        ((3.0, 5.0), None, None),
-        (None, 5.0, None),
-    ],
-)
-def test_an_ensemble_in_doubt(displacement, truth, said):
-    found = list(check_predictions(displacement, truth))
-    assert len(found) == (said is not None) and all(said in message for message in found)

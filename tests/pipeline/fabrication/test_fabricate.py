@@ -40,7 +40,7 @@ def test_a_kit_is_whole(made):
     assert held == {*manifest["files"], KIT_MANIFEST}
     for name, digest in manifest["files"].items():
         assert hashlib.sha256((kit / name).read_bytes()).hexdigest() == digest
-    assert {"timeline.csv", "design.json", "assembly.md", "servo.md", "servo-wiring.svg"} <= held
+    assert {"timeline.json", "design.json", "assembly.md", "servo.md", "servo-wiring.svg"} <= held
     assert read_design(kit / "design.json").equals(read_design(made / "crane.json"))
     assert manifest["metrics"]["n_faults"] == 0
     page = (kit / "index.html").read_text()

@@ -1,7 +1,5 @@
 """A kit's folder, timelines and calibrations: round trips, and messages that name file and field."""
 
-import csv
-import io
 import json
 
 import numpy as np
@@ -14,7 +12,6 @@ from pipeline.fabrication.kit_files import (
     calibration_yaml,
     read_calibration,
     read_timeline,
-    timeline_csv,
     timeline_json,
     write_folder,
 )
@@ -31,19 +28,13 @@ CALIBRATION = Calibration(
 TIMELINE = Timeline(joints=(2, 5), angle=np.stack([np.linspace(0, 0.9, 50), np.linspace(0.3, -0.8, 50)], axis=1))
 
 
-def test_a_timeline_as_json_and_as_csv(tmp_path):
+def test_a_timeline_round_trip(tmp_path):
     path = tmp_path / "timeline.json"
     path.write_bytes(timeline_json(TIMELINE, CALIBRATION))
     back, said = read_timeline(path), json.loads(path.read_text())
     assert back.joints == TIMELINE.joints and said["channels"] == [0, 7]
-    rows = list(csv.reader(io.StringIO(timeline_csv(TIMELINE, CALIBRATION).decode())))
-    assert rows[0] == ["time_s", "joint_2_rad", "joint_5_rad", "channel_0_us", "channel_7_us"]
-    table = np.array(rows[1:], dtype=float)
-    np.testing.assert_allclose(table[:, 0], np.arange(50) / 50)
-    for angle in (back.angle, table[:, 1:3]):
-        np.testing.assert_allclose(angle, TIMELINE.angle, rtol=0, atol=0.5e-6)
-    for sent in (np.array(said["pulse_us"]).T, table[:, 3:]):
-        np.testing.assert_allclose(sent, pulses(TIMELINE, CALIBRATION), rtol=0, atol=0.005)
+    np.testing.assert_allclose(back.angle, TIMELINE.angle, rtol=0, atol=0.5e-6)
+    np.testing.assert_allclose(np.array(said["pulse_us"]).T, pulses(TIMELINE, CALIBRATION), rtol=0, atol=0.005)
 
 
 def test_a_calibration_round_trip(tmp_path):

@@ -59,14 +59,3 @@ def drawn_into(figures):
         return figure, figure.subplots(*arguments, **options)
 
     return subplots
-
-
-def test_it_was_run_from_top_to_bottom_without_errors_and_shows_a_figure(notebook):
-    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
-    outputs = [output for cell in cells for output in cell["outputs"]]
-    assert {output["output_type"] for output in outputs} <= {"execute_result", "display_data", "stream"}
-    assert sum("image/png" in output.get("data", {}) for output in outputs) == 1
-    assert not any(output.get("name") == "stderr" for output in outputs)
-    table, simulated = re.search(r"trial \d+: (\S+) m in the table, (\S+) m simulated", json.dumps(outputs)).groups()
-    assert table == simulated

@@ -4,7 +4,6 @@ import os
 import pty
 import select
 import threading
-import time
 import tty
 from collections.abc import Iterator
 
@@ -12,22 +11,20 @@ import pytest
 
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 
-DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0xA1: 0, 0xA2: 0}
+DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0xA1: 0}
 """Number of data bytes of each command in the user's guide."""
 
-TIMED_OUT = 1 << 5
 PROTOCOL_ERROR = 1 << 4
 
 
 class FakeMaestro:
     """Implements the compact protocol, records every command, and misbehaves on demand."""
 
-    def __init__(self, *, unplug_after: int | None = None, timeout: float | None = None) -> None:
+    def __init__(self, *, unplug_after: int | None = None) -> None:
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         self.unplug_after = unplug_after
-        self.timeout = timeout
         self.answer = lambda honest: honest  # turns a correct answer into what is sent
         self.channel_range = (256, 10_000)  # the controller's own limits [quarter µs]
         self.errors = 0
@@ -42,18 +39,13 @@ class FakeMaestro:
         self._thread.start()
 
     def _serve(self) -> None:
-        heard = time.monotonic()
         while True:
             try:
                 ready, _, _ = select.select([self._master], [], [], 0.02)
                 if not ready:
                     if self._closing.is_set():
                         return
-                    if self.timeout is not None and time.monotonic() - heard > self.timeout and self.on:
-                        self.errors |= TIMED_OUT
-                        self.on.clear()
                     continue
-                heard = time.monotonic()
                 for byte in os.read(self._master, 4096):
                     if self.n_bytes == self.unplug_after:
                         os.close(self._master)
@@ -96,8 +88,6 @@ class FakeMaestro:
         elif command == 0xA1:
             errors, self.errors = self.errors, 0
             self._say(errors)
-        elif command == 0xA2:
-            self.on.clear()
 
     def _say(self, value: int) -> None:
         os.write(self._master, self.answer(value.to_bytes(2, "little")))

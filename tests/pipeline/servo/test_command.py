@@ -1,12 +1,8 @@
-"""``puddle servo play`` against a simulated controller: in this process, and in one of its own in real time."""
+"""``puddle servo play`` against a simulated controller."""
 
 import csv
 import json
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +15,6 @@ from pipeline.fabrication.kit_files import calibration_yaml, timeline_json
 from pipeline.servo.play import PlayOptions, play_timeline
 from tasks.fabrication.timeline import Timeline, envelope
 
-ROOT = Path(__file__).parents[3]
 PATIENT = ("--timeout", "10")
 """Time for the simulated controller's thread to answer on a busy machine."""
 
@@ -38,10 +33,6 @@ def kit(tmp_path, calibration) -> Path:
 
 def rows_of(log: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(log.open()))
-
-
-def sent_to(log: Path, channel: int) -> list[float]:
-    return [float(row["sent"]) for row in rows_of(log) if row["channel"] == str(channel) and row["sent"]]
 
 
 def played(kit: Path, log: Path | None, clock, **options) -> tuple[bool, str]:
@@ -102,51 +93,3 @@ def test_mistakes(kit, tmp_path, capsys):
     ):
         assert re.search(said, refused(capsys, "servo", "play", *arguments), flags=re.S), said
     assert sorted(path.name for path in kit.iterdir()) == ["calibration.yaml", "timeline.json"]
-
-
-PLAY = """
-import sys, time
-from pathlib import Path
-from pipeline.servo.play import PlayOptions, play_timeline
-
-class UnhurriedClock:
-    time = 0.0
-    def now(self):
-        return self.time
-    def sleep(self, duration):
-        time.sleep(duration)
-        self.time += duration
-
-kit, port, log = sys.argv[1:]
-options = PlayOptions(Path(kit), port=port, log=Path(log), timeout=10.0)
-sys.exit(0 if play_timeline(options, confirm=lambda question: True, say=print, clock=UnhurriedClock()) else 130)
-"""
-"""A run in a process of its own that waits in real time but is never late, however busy the machine is."""
-
-
-def started(kit: Path, fake, log: Path) -> subprocess.Popen:
-    """Start a run in its own process and wait until it plays the timeline."""
-    command = [sys.executable, "-c", PLAY, str(kit), fake.path, str(log)]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    patience = time.monotonic() + 60
-    while len(fake.pulses(0)) < 70:
-        assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < patience
-        time.sleep(0.01)
-    return process
-
-
-def test_killed(kit, tmp_path, plug):
-    """After SIGKILL the controller's own time-out switches the servos off, and the log has what was sent."""
-    fake, log = plug(timeout=0.5), tmp_path / "run.csv"
-    process = started(kit, fake, log)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    process.stderr.close()
-    patience = time.monotonic() + 60
-    while fake.on:
-        assert time.monotonic() < patience
-        time.sleep(0.02)
-    fake.finish()
-    sent, received = sent_to(log, 0), fake.pulses(0)
-    assert len(received) - len(sent) in (0, 1) and sent == received[: len(sent)]

@@ -65,12 +65,6 @@ def test_without_networks_and_analysis_there_is_what_needs_none(settings, inputs
     assert all(replay.disagreement is None for replay in found.values())
 
 
-def test_replays_take_as_long_as_in_the_simulation(settings, inputs):
-    slow = settings.model_copy(update={"physics": settings.physics.model_copy(update={"time_step": 0.05})})
-    for replay in best(slow, inputs).values():
-        assert replay.duration == pytest.approx(settings.rollout.n_measure * 0.05)
-
-
 def test_champions_without_scores_in_true_slush_are_shown_where_they_evolved(settings, inputs):
     unseen = with_scores(inputs, zero_shot=None, zero_shot_com=None)
     assert {seen_in for _, seen_in in best(settings, unseen)} & {"True Slush"} == set()

@@ -80,7 +80,6 @@ def test_servos_alternate_between_the_pontoons_and_pins_replace_the_others(kit, 
     ]
     both = build_kit(crane, SETTINGS.model_copy(update={"servos_per_joint": 2}))
     assert sum(item.kind == "servo" for item in both.bought) == 4 and not any(b.kind == "pin" for b in both.bought)
-    assert not any("lags by" in finding.message for finding in both.findings)
 
 
 def test_nothing_overlaps_in_the_assembled_robot(kit):
