@@ -22,7 +22,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.process import PINNED_THREADS, end_at_once, ended_by_signals, number_of_cores, signals_unwind
@@ -209,11 +208,10 @@ def _existing(address: str) -> Iterator[_Ray]:
 
 
 def _server_of(address: str, what: str, advice: str) -> tuple[str, int]:
-    parts = urlsplit(f"//{address}")
-    with contextlib.suppress(ValueError):
-        if parts.hostname and parts.port is not None:
-            return parts.hostname, parts.port
-    raise PuddleError(f"{what}: expected host:port or auto\n{advice}")
+    host, _, port = address.rpartition(":")
+    if not host or "/" in host or not port.isdecimal() or int(port) >= 2**16:
+        raise PuddleError(f"{what}: expected host:port or auto\n{advice}")
+    return host, int(port)
 
 
 @contextlib.contextmanager

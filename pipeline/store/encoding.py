@@ -24,8 +24,6 @@ Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json
 Array: TypeAlias = npt.NDArray[Any]
 
 _METADATA_KEY = "puddle"
-_INTEGERS = tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
-_NUMBERS = frozenset(("bool", *_INTEGERS, "float32", "float64"))
 
 
 # -- digests and JSON ------------------------------------------------------------------------------------------------
@@ -125,11 +123,8 @@ def encode_table(
         schema, version: the table's format.
         producer: key of the work item that produced it.
         units: units of columns, by name; SI where not named.
-
-    Raises:
-        TypeError: Parquet would not return a column's type unchanged.
     """
-    arrays = {name: _pure_array(array, name) for name, array in columns.items()}
+    arrays = {name: _pure_array(array) for name, array in columns.items()}
     label = _label(arrays, {"schema": schema, "version": version, "producer": producer, "units": dict(units or {})})
     parts = [_arrow_column(array) for array in arrays.values()]
     fields = [pa.field(name, part.type, nullable=False) for name, part in zip(arrays, parts, strict=True)]
@@ -193,11 +188,8 @@ def encode_arrays(arrays: Mapping[str, Array], *, schema: str, version: int, pro
         arrays: by name, in any order.
         schema, version: the format.
         producer: key of the work item that produced them.
-
-    Raises:
-        TypeError: safetensors would not return an array's type unchanged.
     """
-    pure = {name: _pure_array(arrays[name], name, text=False) for name in sorted(arrays)}
+    pure = {name: _pure_array(arrays[name]) for name in sorted(arrays)}
     label = _label(pure, {"schema": schema, "version": version, "producer": producer, "metadata": {}})
     return bytes(safetensors.numpy.save(pure, metadata={_METADATA_KEY: label}))
 
@@ -221,12 +213,9 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> dic
 # -- the label of tables and arrays ----------------------------------------------------------------------------------
 
 
-def _pure_array(array: Array, name: str, *, text: bool = True) -> Array:
-    """Return an array in C order and little endian; refuse types that would not survive a round trip."""
+def _pure_array(array: Array) -> Array:
+    """Return an array in C order and little endian."""
     array = np.asarray(array, order="C")
-    if not (array.dtype.name in _NUMBERS or (text and array.dtype.kind == "U" and array.ndim == 1)):
-        expected = f"one of {', '.join(sorted(_NUMBERS))}{', or 1-D text (numpy str)' if text else ''}"
-        raise TypeError(f"array {name!r} is {array.ndim}-D of {array.dtype}, expected {expected}")
     return array.astype(array.dtype.newbyteorder("<"), copy=False)
 
 

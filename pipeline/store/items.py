@@ -10,17 +10,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
 from pipeline.store import disk
 from pipeline.store.encoding import Json, canonical_json, decode_json, digest, key_of
-from pipeline.store.manifest import (
-    MANIFEST,
-    FileEntry,
-    Manifest,
-    decode_manifest,
-    encode_manifest,
-    refuse_other_content,
-)
+from pipeline.store.manifest import MANIFEST, FileEntry, Manifest, decode_manifest, encode_manifest
 from pipeline.store.provenance import environment
 
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
@@ -79,7 +72,12 @@ class Items:
         with disk.locked(self.root / "commit.lock"):
             with contextlib.suppress(DamagedArtifact):  # a damaged one counts as missing: here is its successor
                 if committed := self.manifest(stage, key, hashed=True):
-                    refuse_other_content(committed, manifest)
+                    if differ := sorted({name for name, _ in committed.files.items() ^ manifest.files.items()}):
+                        raise Irreproducible(
+                            f"{stage} {key}: computing this item again gave other bytes in {', '.join(differ)}: "
+                            f"expected {committed.digest}, got {manifest.digest}. The committed item stays. This is a "
+                            f"defect of puddle or of a machine: please report it."
+                        )
                     return committed
             self._clear(folder)
             disk.make_folders(folder)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.errors import DamagedArtifact, Irreproducible
+from pipeline.errors import DamagedArtifact
 from pipeline.store.encoding import Json, canonical_json, decode_document, digest, encode_document, key_of
 
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
@@ -70,19 +70,3 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
         expected = f"expected {stage} {key} of digest {body.get('digest')}"
         raise DamagedArtifact(f"{source}: {expected}, got {manifest.stage} {manifest.key} of digest {manifest.digest}")
     return manifest
-
-
-def refuse_other_content(committed: Manifest, new: Manifest) -> None:
-    """Check that computing an item again gave the same content; raise Irreproducible otherwise."""
-    if committed.digest == new.digest:
-        return
-    names = sorted({*committed.files, *new.files})
-    differ = ", ".join(name for name in names if committed.files.get(name) != new.files.get(name))
-    expected, got = (
-        f"{one.digest} ({one.environment.get('cpu')}, commit {one.environment.get('commit')})"
-        for one in (committed, new)
-    )
-    raise Irreproducible(
-        f"{new.stage} {new.key}: computing this item again gave other bytes in {differ}: expected digest {expected}, "
-        f"got {got}. The committed item stays. This is a defect of puddle or of a machine: please report it."
-    )

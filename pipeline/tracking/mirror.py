@@ -16,7 +16,6 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,9 @@ class Tracker:
         self._store, self._say = store, say
         self._uri = uri or os.environ.get("MLFLOW_TRACKING_URI") or None
         self._warned = False
-        self._experiment: Experiment | None = None
+        self._client: Any = None
+        self._experiment = ""
+        self._studies: dict[str, dict[_Slot, Any]] = {}  # runs that MLflow holds; no other process changes a study's
 
     def mirror(self, study: Run, stage: Run, trials: Sequence[Run] = ()) -> None:
         """Bring a stage of a study and some of its trials up to date in MLflow. Errors of MLflow become one warning.
@@ -56,11 +57,12 @@ class Tracker:
         """
         try:
             with self._database():
-                if self._experiment is None:
-                    self._experiment = _open_experiment(self._store, self._uri)
-                self._experiment.mirror(study, stage, trials)
+                if self._client is None:
+                    self._studies = {}
+                    self._client, self._experiment = _open_experiment(self._store, self._uri)
+                self._mirror(study, stage, trials)
         except Exception as error:
-            self._experiment = None  # what MLflow holds is asked again
+            self._client = None  # what MLflow holds is asked again
             if not self._warned:
                 self._warned = True
                 self._say(f"{explained(error, self._store, self._uri)}. The study continues without MLflow.")
@@ -75,120 +77,96 @@ class Tracker:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
+    def _mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
+        if study.key not in self._studies:
+            self._studies[study.key] = dict(self._runs(study.key))
+        runs = self._studies[study.key]
+        shared = {**study.tags, "study": study.name, "study_digest": study.key}
+        parent = self._update(study, ("study", study.key), shared, runs)
+        shared |= {"mlflow.parentRunId": parent, "stage": stage.name}
+        shared["mlflow.parentRunId"] = self._update(stage, ("stage", stage.key), shared, runs)
+        for trial in trials:
+            self._update(trial, ("trial", f"{stage.key}/{trial.key}"), shared, runs)
 
-def _open_experiment(store: Path, uri: str | None) -> Experiment:
+    def _runs(self, study_key: str) -> Iterator[tuple[_Slot, Any]]:
+        """Find a study's runs, by kind and key."""
+        page = None
+        while page is None or page.token:
+            token = page.token if page else None
+            page = self._client.search_runs([self._experiment], f"tags.study_digest = '{study_key}'", page_token=token)
+            yield from (((run.data.tags["puddle.kind"], run.data.tags["puddle.key"]), run) for run in page)
+
+    def _update(self, wanted: Run, slot: _Slot, shared: Mapping[str, str], runs: dict[_Slot, Any]) -> str:
+        """Send what MLflow lacks of a run, its status last; return the run's ID."""
+        tags = {**shared, "puddle.kind": slot[0], "puddle.key": slot[1], "mlflow.user": os.environ.get("USER", "")}
+        if slot not in runs:
+            runs[slot] = self._client.create_run(self._experiment, run_name=wanted.name, tags=tags)
+        run = runs[slot]
+        name = str(run.info.run_id)
+        changed = self._send_values(run, wanted, tags | wanted.tags)
+        changed |= self._send_files(run, wanted.artifacts)
+        if wanted.status is not None and run.info.status != wanted.status:
+            self._client.set_terminated(name, wanted.status)
+            changed = True
+        if changed:
+            runs[slot] = self._client.get_run(name)
+        return name
+
+    def _send_values(self, run: Any, wanted: Run, tags: dict[str, str]) -> bool:
+        from mlflow.entities import Metric, Param, RunTag
+
+        held, started, now = run.data, run.info.start_time, round(1000 * time.time())
+        params = [Param(name, str(value)) for name, value in _flat(wanted.params) if name not in held.params]
+        metrics = [
+            Metric(name, float(value), now, 0)
+            for name, value in wanted.metrics.items()
+            if math.isfinite(value) and held.metrics.get(name) != value
+        ]
+        digests, last = [part.digest for part in wanted.curves], held.tags.get(_LAST_PART)
+        for part in wanted.curves[digests.index(last) + 1 if last in digests else 0 :]:
+            tags[_LAST_PART] = part.digest
+            points = part.read()
+            metrics += [  # MLflow stores a point that is sent again with the same time once
+                Metric(name, float(y), started, int(step))
+                for name, curve in points.values.items()
+                for step, y in zip(points.steps, curve, strict=True)
+                if math.isfinite(y)
+            ]
+        new_tags = [RunTag(name, value) for name, value in tags.items() if held.tags.get(name) != value]
+        for start in range(0, len(metrics), _MAX_METRICS):
+            self._client.log_batch(run.info.run_id, metrics=metrics[start : start + _MAX_METRICS])
+        for start in range(0, len(params), _MAX_PARAMS):
+            self._client.log_batch(run.info.run_id, params=params[start : start + _MAX_PARAMS])
+        if new_tags:  # last: after a failure, points are sent twice rather than never
+            self._client.log_batch(run.info.run_id, tags=new_tags)
+        return bool(params or metrics or new_tags)
+
+    def _send_files(self, run: Any, files: Mapping[str, bytes]) -> bool:
+        """Send files, unless a tag says that they have been sent."""
+        listed = sorted((path, hashlib.sha256(data).hexdigest()) for path, data in files.items())
+        content = hashlib.sha256(repr(listed).encode()).hexdigest()
+        sent = run.data.tags.get(_FILES, "").split()
+        if not files or content in sent:
+            return False
+        with tempfile.TemporaryDirectory() as folder:
+            for path, data in files.items():
+                target = Path(folder) / path
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(data)
+            self._client.log_artifacts(run.info.run_id, folder)
+        self._client.set_tag(run.info.run_id, _FILES, " ".join([*sent, content]))
+        return True
+
+
+def _open_experiment(store: Path, uri: str | None) -> tuple[Any, str]:
+    """Return a client, and the ID of puddle's experiment."""
     client = open_client(store, uri)
     found = experiment_id(client)
     if found is None:
         location = None if uri else artifacts_uri(store)
         kind = {"mlflow.experimentKind": "custom_model_development"}  # MLflow's pages show runs rather than traces
         found = client.create_experiment(EXPERIMENT, artifact_location=location, tags=kind)
-    return Experiment(client, found)
-
-
-@dataclass
-class _Sent:
-    """What MLflow holds of a run."""
-
-    id: str
-    started: int  # [ms since 1970]
-    status: str = "RUNNING"
-    params: set[str] = field(default_factory=set)
-    tags: dict[str, str] = field(default_factory=dict)
-    metrics: dict[str, float] = field(default_factory=dict)
-
-
-@dataclass
-class Experiment:
-    """An experiment, and what it is known to hold; another process may add studies but not change the same one."""
-
-    client: Any
-    id: str
-    _studies: dict[str, dict[_Slot, _Sent]] = field(default_factory=dict)
-
-    def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
-        """Send what MLflow lacks, as :meth:`Tracker.mirror` describes."""
-        if study.key not in self._studies:
-            self._studies[study.key] = dict(self._runs(study.key))
-        sent = self._studies[study.key]
-        shared = {**study.tags, "study": study.name, "study_digest": study.key}
-        parent = self._update(study, ("study", study.key), shared, sent)
-        shared |= {"mlflow.parentRunId": parent.id, "stage": stage.name}
-        child = self._update(stage, ("stage", stage.key), shared, sent)
-        shared["mlflow.parentRunId"] = child.id
-        for trial in trials:
-            self._update(trial, ("trial", f"{stage.key}/{trial.key}"), shared, sent)
-
-    def _runs(self, study_key: str) -> Iterator[tuple[_Slot, _Sent]]:
-        """Find a study's runs, by kind and key."""
-        page = None
-        while page is None or page.token:
-            token = page.token if page else None
-            page = self.client.search_runs([self.id], f"tags.study_digest = '{study_key}'", page_token=token)
-            for run in page:
-                info, data = run.info, run.data
-                sent = _Sent(info.run_id, info.start_time, info.status, set(data.params), data.tags, data.metrics)
-                yield (data.tags["puddle.kind"], data.tags["puddle.key"]), sent
-
-    def _update(self, wanted: Run, slot: _Slot, shared: Mapping[str, str], existing: dict[_Slot, _Sent]) -> _Sent:
-        """Send what MLflow lacks of a run, its status last; return what it then holds."""
-        run = existing.get(slot)
-        if run is None:
-            tags = {**shared, "puddle.kind": slot[0], "puddle.key": slot[1], "mlflow.user": os.environ.get("USER", "")}
-            made = self.client.create_run(self.id, run_name=wanted.name, tags=tags)
-            run = existing[slot] = _Sent(made.info.run_id, made.info.start_time, tags=tags)
-        self._send_values(run, wanted, {**shared, **wanted.tags})
-        self._send_files(run, wanted.artifacts)
-        if wanted.status is not None and run.status != wanted.status:
-            self.client.set_terminated(run.id, wanted.status)
-            run.status = wanted.status
-        return run
-
-    def _send_values(self, run: _Sent, wanted: Run, tags: dict[str, str]) -> None:
-        from mlflow.entities import Metric, Param, RunTag
-
-        params = [Param(name, str(value)) for name, value in _flat(wanted.params) if name not in run.params]
-        values = {name: float(value) for name, value in wanted.metrics.items() if math.isfinite(value)}
-        changed = {name: value for name, value in values.items() if run.metrics.get(name) != value}
-        now = round(1000 * time.time())
-        metrics = [Metric(name, value, now, 0) for name, value in changed.items()]
-        digests, last = [part.digest for part in wanted.curves], run.tags.get(_LAST_PART)
-        for part in wanted.curves[digests.index(last) + 1 if last in digests else 0 :]:
-            tags[_LAST_PART] = part.digest
-            points = part.read()
-            metrics += [  # MLflow stores a point that is sent again with the same time once
-                Metric(name, float(y), run.started, int(step))
-                for name, curve in points.values.items()
-                for step, y in zip(points.steps, curve, strict=True)
-                if math.isfinite(y)
-            ]
-        new_tags = {name: value for name, value in tags.items() if run.tags.get(name) != value}
-        for start in range(0, len(metrics), _MAX_METRICS):
-            self.client.log_batch(run.id, metrics=metrics[start : start + _MAX_METRICS])
-        for start in range(0, len(params), _MAX_PARAMS):
-            self.client.log_batch(run.id, params=params[start : start + _MAX_PARAMS])
-        if new_tags:  # last: after a failure, points are sent twice rather than never
-            self.client.log_batch(run.id, tags=[RunTag(*tag) for tag in new_tags.items()])
-        run.params |= {param.key for param in params}
-        run.tags |= new_tags
-        run.metrics |= changed
-
-    def _send_files(self, run: _Sent, files: Mapping[str, bytes]) -> None:
-        """Send files, unless a tag says that they have been sent."""
-        content = hashlib.sha256()
-        for path, data in sorted(files.items()):
-            content.update(f"{path} {hashlib.sha256(data).hexdigest()}\n".encode())
-        sent = run.tags.get(_FILES, "").split()
-        if not files or content.hexdigest() in sent:
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            for path, data in files.items():
-                target = Path(folder) / path
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(data)
-            self.client.log_artifacts(run.id, folder)
-        run.tags[_FILES] = " ".join([*sent, content.hexdigest()])
-        self.client.set_tag(run.id, _FILES, run.tags[_FILES])
+    return client, found
 
 
 def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -1,7 +1,6 @@
 """Signals wait for what must not be cut in two, but not for ever; libraries find one thread and no display."""
 
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -55,18 +54,6 @@ def test_cores_are_those_of_the_affinity_and_the_quota(quota, n_cores, monkeypat
     assert number_of_cores() == n_cores
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(1))
     assert number_of_cores() == 1
-
-
-def test_what_is_ended_at_once_leaves_a_terminal_its_cursor():
-    program = "from pipeline.cluster.process import end_at_once; end_at_once('why', 7)"
-    ours, terminal = pty.openpty()
-    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, stderr=terminal)
-    assert ended.returncode == 7
-    assert os.read(ours, 1000) == b"\x1b[?25h\r\nwhy\r\n"
-    os.close(ours)
-    os.close(terminal)
-    piped = subprocess.run([sys.executable, "-c", program], cwd=ROOT, stderr=subprocess.PIPE)
-    assert (piped.returncode, piped.stderr) == (7, b"\nwhy\n")
 
 
 def stopped_by(number: int) -> None:

@@ -1,6 +1,5 @@
 """Artifacts come back as they went, always as the same bytes, and never damaged without a word."""
 
-import io
 import json
 from collections.abc import Callable
 
@@ -8,14 +7,11 @@ import duckdb
 import hypothesis.strategies as st
 import numpy as np
 import polars
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-import safetensors.numpy
 from hypothesis import given
 from hypothesis.extra.numpy import arrays as numpy_arrays
 
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.errors import PuddleError
 from pipeline.store.encoding import (
     canonical_json,
     decode_arrays,
@@ -109,15 +105,6 @@ def test_duckdb_and_polars_read_lists_and_the_label(tmp_path) -> None:
     assert label["units"] == {"fitness": "m", "mass": "kg"}
 
 
-@pytest.mark.parametrize(
-    "column",
-    [np.array([None, "a"]), np.zeros(2, np.complex128), np.array([["a"]]), np.array(["2020-01-01"], "datetime64[D]")],
-)
-def test_what_parquet_would_change_is_refused(column: np.ndarray) -> None:
-    with pytest.raises(TypeError, match="array 'x'"):
-        encode_table({"x": column}, **FORMAT, producer="")
-
-
 # -- arrays ----------------------------------------------------------------------------------------------------------
 
 
@@ -129,12 +116,6 @@ def test_arrays_come_back_in_order_of_name() -> None:
     assert all(array.flags.writeable for array in found.values())
     assert same(dict(sorted(arrays.items())), found)
     assert encode_arrays(dict(reversed(arrays.items())), **FORMAT, producer="k") == data
-
-
-def test_text_and_odd_types_are_no_weights() -> None:
-    for array in (np.array(["a"]), np.zeros(2, np.float16), np.array([object()])):
-        with pytest.raises(TypeError, match="'w'"):
-            encode_arrays({"w": array}, **FORMAT, producer="")
 
 
 # -- damage ----------------------------------------------------------------------------------------------------------
@@ -153,22 +134,12 @@ def test_any_bytes_are_refused(kind: str, data: bytes) -> None:
         DECODE[kind](data)
 
 
-def test_foreign_files_are_named_as_such() -> None:
-    sink = io.BytesIO()
-    pq.write_table(pa.table({"x": [1, 2]}), sink)
-    weights = safetensors.numpy.save({"w": np.zeros(3, np.float32)})
-    for kind, data in {"table": sink.getvalue(), "arrays": weights, "document": b'{"schema": 3}'}.items():
-        with pytest.raises(PuddleError, match="got a file that puddle did not write"):
-            DECODE[kind](data)
-    with pytest.raises(DamagedArtifact, match="the file"):
-        DECODE["document"](b'{"schema": "other", "version": 3}')
-
-
 @pytest.mark.parametrize("kind", DECODE)
 @pytest.mark.parametrize(
     ("found", "message"),
     [
         ({"schema": "test.other", "version": 3}, "expected 'test.format' version 3, got 'test.other'"),
+        ({"schema": 3, "version": 3}, "got a file that puddle did not write"),
         ({"schema": "test.format", "version": 4}, "got version 4. A newer puddle wrote it: upgrade puddle"),
         ({"schema": "test.format", "version": 2}, "got version 2. An older puddle wrote it: compute it again"),
     ],
@@ -210,20 +181,10 @@ def test_the_key_is_the_sha256_of_the_canonical_text() -> None:
     assert key_of(identity) == "e55a31d855056735c7e1295aed9794f965927e2c50472375cac49a4085649efb"
 
 
-@pytest.mark.parametrize(
-    ("value", "error", "named"),
-    [
-        ({"n": np.int64(1)}, TypeError, "int64"),
-        ({"n": np.zeros(2)}, TypeError, "ndarray"),
-        ({"n": {1, 2}}, TypeError, "set"),
-        ({"a": [float("nan")]}, ValueError, "not JSON compliant"),
-        (float("inf"), ValueError, "not JSON compliant"),
-        ("\ud800", ValueError, "surrogates"),
-    ],
-)
-def test_what_json_has_no_exact_form_for_is_refused(value: object, error: type[Exception], named: str) -> None:
+@pytest.mark.parametrize("value", [{"n": np.int64(1)}, {"a": [float("nan")]}, float("inf"), "\ud800"])
+def test_what_json_has_no_exact_form_for_is_refused(value: object) -> None:
     for encode in (canonical_json, encode_json):
-        with pytest.raises(error, match=named):
+        with pytest.raises((TypeError, ValueError)):
             encode(value)
 
 

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import pytest
-from one_item import FILES, IDENTITY, KEY, commit, item, tree
+from one_item import KEY, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.encoding import encode_document
-from pipeline.store.store import Store, StudyRecord
+from pipeline.store.store import Store
 
 # -- damage ----------------------------------------------------------------------------------------------------------
 
@@ -104,22 +104,15 @@ def test_a_store_of_a_newer_puddle_or_a_damaged_one_is_refused(tmp_path: Path) -
 
 # -- names and links -------------------------------------------------------------------------------------------------
 
-HOSTILE = ["", "..", "/etc", "a/b", "A", "-a", "a.b", "a\n", "é", "x" * 65]
 
-
-@pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_names_are_refused(store: Store, name: str) -> None:
+@pytest.mark.parametrize("name", ["", "..", "/etc", "a/b", "A", "-a", "a.b", "a\n", "é", "x" * 65])
+def test_names_that_are_no_folders_are_refused(store: Store, name: str) -> None:
     before = tree(store.root)
     for use in (
         lambda: store.manifest(name, KEY),
-        lambda: store.commit(name, KEY, IDENTITY, FILES, record={}),
-        lambda: store.discard(name, KEY),
-        lambda: store.write_study(StudyRecord(name, {}, ())),
-        lambda: store.read_study(name),
-        lambda: store.driver_of(name),
-        lambda: store.export(name, {"index.html": b""}),
-        lambda: store.lock_study(name).__enter__(),
         lambda: store.manifest("evolve", name),
+        lambda: store.read_study(name),
+        lambda: store.lock_study(name).__enter__(),
     ):
         with pytest.raises(PuddleError, match="expected"):
             use()

@@ -179,7 +179,7 @@ def test_an_interrupted_mirror_is_completed_without_doubles(store):
                 raise KeyboardInterrupt
             return super().log_batch(*args, **kwargs)
 
-    tracker._experiment = replace(tracker._experiment, client=DyingClient(database_uri(store)))
+    tracker._client = DyingClient(database_uri(store))
     with pytest.raises(KeyboardInterrupt):
         tracker.mirror(STUDY, STAGE, TRIALS)
     assert 0 < len(curve(store, "trial 0")) <= 1500 and runs(store)["trial", "trial 0"].info.status == "RUNNING"
