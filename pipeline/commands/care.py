@@ -35,14 +35,14 @@ def verify(
 ) -> None:
     """Hash a store again; name what is damaged."""
     from pipeline.errors import DamagedArtifact
-    from pipeline.workflow.progress import Work, progress
+    from pipeline.workflow.progress import progress
 
     options = StudyOptions(store=store)
     opened = options.open_store()
     with interruptible(), opened.lock_all() if discard else nullcontext(), progress() as show:
         n_items = len(list(opened.items()))
-        with show.stage("verify", unit="items", total=Work(n_items, n_items)) as bar:
-            wrong = opened.verify(checked=lambda: bar.advance(Work(1, 1)))
+        with show.stage("verify", total=n_items) as advance:
+            wrong = opened.verify(checked=lambda: advance(1))
         damaged = [(one.stage, one.key) for one in wrong if isinstance(one, DamagedArtifact) and one.stage and one.key]
         for stage, key in damaged if discard else ():
             opened.discard(stage, key)

@@ -177,23 +177,14 @@ def ui(
 
 
 @with_options
-def settings(
-    options: StudyOptions,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of settings files, for an editor.")
-    ] = False,
-) -> None:
+def settings(options: StudyOptions) -> None:
     """Print every setting with its unit, reason and value.
 
-    The text is a file to start your own from. Editors check and complete a settings file by the schema: save it as
-    puddle.schema.json, and begin the file with `# yaml-language-server: $schema=puddle.schema.json`.
+    The text is a file to start your own from.
     """
-    from pipeline.config.annotated import annotated_lines, json_schema
+    from pipeline.config.annotated import annotated_lines
 
-    if schema:
-        print_json(json_schema())
-    else:
-        to_stdout(*annotated_lines(options.settings()))
+    to_stdout(*annotated_lines(options.settings()))
 
 
 def _opened(study: str, store: Path) -> Study:

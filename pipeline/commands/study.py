@@ -80,7 +80,6 @@ def _run_stages(
             open_cluster=execution.cluster(),
             tracker=Tracker(store.root, execution.tracking_uri, say=show.say),
             progress=show,
-            how_to_run=options.command,
             source=options.source,
         )
     if wanted[-1] is STAGES[-1]:
@@ -154,6 +153,6 @@ def _check_inputs(options: StudyOptions, settings: Settings, first: AnyStage) ->
         upstream: Upstream = {stage.name: results_of(stage, chains) for stage, chains in plans}
     else:
         upstream = survey(settings, until, store).upstream  # the driver names damage
-    require(settings, first, STAGES, upstream, how_to_run=options.command)
+    require(settings, first, STAGES, upstream)
     if first is COLLECT and upstream["collect"].unfinished:
         check_tracks(settings)

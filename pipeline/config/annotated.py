@@ -1,15 +1,13 @@
-"""Settings written out in full: YAML with every value's unit and reason, which loads as the same settings; a schema."""
+"""Settings written out in full: YAML with every value's unit and reason, which loads as the same settings."""
 
 import json
 import textwrap
 from collections.abc import Iterator
-from typing import Any, Literal, get_args, get_origin
+from typing import Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import to_jsonable_python
-
-from pipeline.config.settings import Settings
 
 _OPENING = (
     "Every setting, below its unit and its reason. [P]: as in the paper; the paper does not specify the others. "
@@ -21,13 +19,6 @@ _LINE_LENGTH = 110
 def annotated_lines(settings: BaseModel) -> list[str]:
     """Write settings as YAML: above each its unit and reason, beside it its default if that differs."""
     return [*_comment(_OPENING, ""), "", *_fields(settings, "")]
-
-
-def json_schema() -> dict[str, Any]:
-    """Return the JSON schema of a settings file: names, types, bounds, units and reasons."""
-    schema = Settings.model_json_schema()
-    dialect = "https://json-schema.org/draft/2020-12/schema"
-    return {"$schema": dialect, **schema, "title": "Settings of a puddle study"}
 
 
 def _fields(group: BaseModel, indent: str) -> Iterator[str]:

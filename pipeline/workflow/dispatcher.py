@@ -15,7 +15,6 @@ from pipeline.store.encoding import Json
 from pipeline.workflow.code_digest import recorded_code
 from pipeline.workflow.graph import ChainProgress, StageRun
 from pipeline.workflow.identity import InputName, to_json
-from pipeline.workflow.progress import Work
 from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, OutsideFile
 
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
@@ -24,7 +23,7 @@ _SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for the number of 
 
 
 def run_stage(
-    run: StageRun, chains: Sequence[ChainProgress], *, cluster: Cluster, advance: Callable[[Work], object]
+    run: StageRun, chains: Sequence[ChainProgress], *, cluster: Cluster, advance: Callable[[float], object]
 ) -> None:
     """Compute what is missing of a stage, and advance its chains.
 
@@ -32,7 +31,7 @@ def run_stage(
         run: the stage, its inputs and its store.
         chains: its chains, from :meth:`StageRun.chains`.
         cluster: computes items.
-        advance: counts work that has just been committed.
+        advance: counts the cost of work that has just been committed.
 
     Raises:
         PuddleError: an item needs a GPU, and the cluster has none.
@@ -46,7 +45,7 @@ _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several c
 class _Dispatcher:
     """Keeps a cluster busy with a stage's chains, heaviest remaining chain first."""
 
-    def __init__(self, run: StageRun, cluster: Cluster, advance: Callable[[Work], object]) -> None:
+    def __init__(self, run: StageRun, cluster: Cluster, advance: Callable[[float], object]) -> None:
         self._run, self._stage = run, run.stage
         self._cluster, self._advance = cluster, advance
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
@@ -57,7 +56,7 @@ class _Dispatcher:
         ready = [progress for progress in chains if progress.open]
         while ready or self._running:
             queue = max(1, round(_QUEUED_PER_CORE * self._cluster.n_cores))  # machines join and leave
-            ready.sort(key=lambda progress: -progress.left.cost)
+            ready.sort(key=lambda progress: -progress.left)
             while ready and len(self._running) < queue:
                 # Batches must not drain the queue: a core without work is worse than empty lanes.
                 n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_batch else 0

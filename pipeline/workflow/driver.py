@@ -17,7 +17,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.compiling import compile_kernels
 from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require, results_of
-from pipeline.workflow.progress import NOTHING, Progress
+from pipeline.workflow.progress import Progress
 from pipeline.workflow.record import DrivenStudy
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror
@@ -35,7 +35,6 @@ def drive(
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
     tracker: Tracker,
     progress: Progress,
-    how_to_run: Callable[[str], str],
     source: str = "",
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
@@ -51,7 +50,6 @@ def drive(
         open_cluster: starts or joins the cluster.
         tracker: mirrors runs to MLflow.
         progress: shows progress to the user.
-        how_to_run: returns the command line that runs a stage, for messages.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
 
     Returns:
@@ -75,7 +73,7 @@ def drive(
 
         record = DrivenStudy(settings, store, progress.say, source)
 
-        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, how_to_run)
+        driver = _Driver(settings, stages, store, record, cluster, mirror, progress)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -103,7 +101,6 @@ class _Driver:
     cluster: Callable[[], Cluster]
     mirror: StudyMirror
     progress: Progress
-    how_to_run: Callable[[str], str]
 
     def run(self, wanted: Sequence[AnyStage]) -> Upstream:
         upstream: dict[str, Results] = {}
@@ -114,7 +111,7 @@ class _Driver:
             if stage not in wanted:
                 upstream[stage.name] = results_of(stage, chains)
                 continue
-            require(self.settings, stage, self.stages, upstream, how_to_run=self.how_to_run)
+            require(self.settings, stage, self.stages, upstream)
             try:
                 self._compute(run, chains)
             finally:  # `puddle status` needs to know what failed, however the stage ended
@@ -132,12 +129,9 @@ class _Driver:
     def _compute(self, run: StageRun, chains: Sequence[ChainProgress]) -> None:
         if not any(chain.open for chain in chains):
             return
-        left = sum((chain.left for chain in chains if chain.open), NOTHING)
-        done = sum((chain.done for chain in chains), NOTHING)
+        left = sum(chain.left for chain in chains if chain.open)
+        done = sum(chain.done for chain in chains)
         cluster = self.cluster()
         place = f"stage {self.stages.index(run.stage) + 1} of {len(self.stages)}, {run.stage.name}"
-        with (
-            self.mirror.live(run.stage, chains),
-            self.progress.stage(place, unit=run.stage.unit, total=left + done, done=done) as bar,
-        ):
-            run_stage(run, chains, cluster=cluster, advance=bar.advance)
+        with self.mirror.live(run.stage, chains), self.progress.stage(place, total=left + done, done=done) as advance:
+            run_stage(run, chains, cluster=cluster, advance=advance)

@@ -17,7 +17,6 @@ from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.code_digest import is_of_other_code
-from pipeline.workflow.progress import Work
 from pipeline.workflow.record import settings_of
 from pipeline.workflow.stage import AnyStage, Chain, Failure, Item, MissingInputs, Results, Upstream
 
@@ -51,17 +50,14 @@ class ChainProgress:
         )
 
     @property
-    def left(self) -> Work:
-        """Work still to do."""
-        return self._work(self.chain.units[len(self.manifests) :])
+    def left(self) -> float:
+        """Cost of the work still to do."""
+        return self.chain.weight * sum(self.chain.units[len(self.manifests) :])
 
     @property
-    def done(self) -> Work:
-        """Work done."""
-        return self._work(self.chain.units[: len(self.manifests)])
-
-    def _work(self, units: Sequence[float]) -> Work:
-        return Work(sum(units), self.chain.weight * sum(units))
+    def done(self) -> float:
+        """Cost of the work done."""
+        return self.chain.weight * sum(self.chain.units[: len(self.manifests)])
 
 
 @dataclass(frozen=True)
@@ -211,14 +207,7 @@ def discard_items(settings: Settings, names: Collection[str], stages: Sequence[A
     return len(discarded)
 
 
-def require(
-    settings: Settings,
-    stage: AnyStage,
-    stages: Sequence[AnyStage],
-    upstream: Mapping[str, Results],
-    *,
-    how_to_run: Callable[[str], str],
-) -> None:
+def require(settings: Settings, stage: AnyStage, stages: Sequence[AnyStage], upstream: Mapping[str, Results]) -> None:
     """Refuse to start a stage if any result upstream is missing.
 
     Args:
@@ -226,10 +215,9 @@ def require(
         stage: the stage to start.
         stages: all stages of the study, in order.
         upstream: results of the stages before it.
-        how_to_run: returns the command line that runs a stage.
 
     Raises:
-        PuddleError: the message names the first stage to run, what it lacks, and the command that runs it.
+        PuddleError: the message names the first stage to run, and what it lacks.
     """
     needed = set(stage.reads(settings))
     for earlier in reversed(stages):
@@ -240,5 +228,5 @@ def require(
             raise PuddleError(
                 f"{stage.name} needs the results of {name}, and {len(missing)} of them are missing "
                 f"(the first: {missing[0].label}).\n"
-                f"Run `{how_to_run(name)}` first, or `{how_to_run('study')}` for everything."
+                f"Run `puddle {name}` with the same options first, or `puddle study` for everything."
             )

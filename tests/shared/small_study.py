@@ -15,7 +15,6 @@ from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import StageRun, results_of
 from pipeline.workflow.identity import ChainId
-from pipeline.workflow.progress import Work
 from pipeline.workflow.stage import AnyStage, Files, Inputs, Item, Results
 
 Value = TypeVar("Value")
@@ -53,10 +52,6 @@ def tiny(*overrides: str) -> Settings:
     return parse(Settings, TINY, name="tiny", overrides=overrides)
 
 
-class NoBar:
-    def advance(self, work: Work) -> None: ...
-
-
 class Terminal:
     """A terminal and a tracker in one, which record the lines shown."""
 
@@ -68,7 +63,7 @@ class Terminal:
 
     @contextlib.contextmanager
     def stage(self, *arguments, **options):
-        yield NoBar()
+        yield ignored
 
     def mirror(self, *runs) -> None: ...
 
@@ -76,7 +71,7 @@ class Terminal:
 def silent(line: str) -> None: ...
 
 
-def ignored(work: Work) -> None: ...
+def ignored(work: float) -> None: ...
 
 
 def run(

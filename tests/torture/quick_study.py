@@ -36,14 +36,7 @@ def run_study(
 ) -> None:
     """Drive the study in a store, as `puddle study --workers 0` does."""
     drive(
-        settings,
-        stages,
-        stages=STAGES,
-        store=store,
-        open_cluster=open_cluster,
-        tracker=Terminal(),
-        progress=Terminal(),
-        how_to_run=lambda name: f"puddle {name}",
+        settings, stages, stages=STAGES, store=store, open_cluster=open_cluster, tracker=Terminal(), progress=Terminal()
     )
 
 

@@ -72,7 +72,6 @@ def live_study(store: Store, monkeypatch: pytest.MonkeyPatch) -> Iterator[thread
                 open_cluster=lambda: paused_cluster(after=1, until=go_on),
                 tracker=Tracker(store.root, say=terminal.say),
                 progress=terminal,
-                how_to_run=lambda name: f"puddle {name}",
             )
         except BaseException as error:
             errors.append(error)

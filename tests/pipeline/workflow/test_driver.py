@@ -36,7 +36,6 @@ def run(
         open_cluster=serial_cluster,
         tracker=terminal,
         progress=terminal,
-        how_to_run=lambda name: f"puddle {name}",
         **options,
     )
 

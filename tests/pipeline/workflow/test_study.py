@@ -95,7 +95,7 @@ def refusal(name: str, settings: Settings, store: Store) -> str:
     upstream = survey(settings, STAGES, store).upstream
     (stage,) = (stage for stage in STAGES if stage.name == name)
     with pytest.raises(PuddleError) as refused:
-        require(settings, stage, STAGES, upstream, how_to_run=lambda name: f"puddle {name}")
+        require(settings, stage, STAGES, upstream)
     return str(refused.value)
 
 
