@@ -11,7 +11,7 @@ import fcntl
 import hashlib
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from pipeline.errors import PuddleError
@@ -114,7 +114,14 @@ class Locked(PuddleError):  # noqa: N818 (a state, not a fault)
 
 
 @contextlib.contextmanager
-def locked(path: Path, *, seconds: float = 120.0, kind: int = fcntl.LOCK_EX, create: bool = True) -> Iterator[int]:
+def locked(
+    path: Path,
+    *,
+    seconds: float = 120.0,
+    kind: int = fcntl.LOCK_EX,
+    create: bool = True,
+    taken: Callable[[], str] | None = None,
+) -> Iterator[int]:
     """Hold a lock file; it is released when the process ends.
 
     Args:
@@ -122,6 +129,7 @@ def locked(path: Path, *, seconds: float = 120.0, kind: int = fcntl.LOCK_EX, cre
         seconds: longest time to wait for other processes and threads [s]; a commit takes milliseconds.
         kind: fcntl.LOCK_EX, or LOCK_SH for a lock that several may share.
         create: whether to make the file if there is none, and open it for writing.
+        taken: returns what the error says if it is not that a process is stopped.
 
     Yields:
         The file's descriptor.
@@ -138,10 +146,11 @@ def locked(path: Path, *, seconds: float = 120.0, kind: int = fcntl.LOCK_EX, cre
                 break
             except BlockingIOError:
                 if time.monotonic() >= end:
-                    raise Locked(
+                    stopped = (
                         f"{path} has been locked for {seconds:.0f} s by another process of puddle. Continue it if it "
                         f"is stopped (fg), or end it. Committed results are safe: the same command resumes."
-                    ) from None
+                    )
+                    raise Locked(taken() if taken else stopped) from None
                 time.sleep(0.01)
         yield descriptor
     finally:

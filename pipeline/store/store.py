@@ -182,9 +182,10 @@ class Store(Items):
             return f"{self.root}: another process of puddle is removing items. Wait until it ends."
 
         folder = self.study_path(name)
-        with self._lock("use.lock", removing, kind=fcntl.LOCK_SH):
+        use = disk.locked(self.root / "use.lock", seconds=_SECONDS_TO_LOCK, kind=fcntl.LOCK_SH, taken=removing)
+        with use:
             disk.make_folders(folder)
-            with self._lock(f"studies/{name}/driver.lock", taken) as descriptor:
+            with disk.locked(folder / "driver.lock", seconds=_SECONDS_TO_LOCK, taken=taken) as descriptor:
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, _signature())
                 yield
@@ -198,18 +199,8 @@ class Store(Items):
             driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
             return f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle removes items'}. {_WAIT}"
 
-        with self._lock("use.lock", taken):
+        with disk.locked(self.root / "use.lock", seconds=_SECONDS_TO_LOCK, taken=taken):
             yield
-
-    @contextlib.contextmanager
-    def _lock(self, name: str, taken: Callable[[], str], *, kind: int = fcntl.LOCK_EX) -> Iterator[int]:
-        """Hold one of the store's lock files, or raise a PuddleError that says who does."""
-        with contextlib.ExitStack() as held:
-            try:
-                descriptor = held.enter_context(disk.locked(self.root / name, seconds=_SECONDS_TO_LOCK, kind=kind))
-            except disk.Locked:
-                raise PuddleError(taken()) from None
-            yield descriptor
 
     def driver_of(self, name: str) -> str | None:
         """Describe the process that drives a study; None if none does."""
