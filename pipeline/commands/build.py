@@ -15,7 +15,7 @@ from pipeline.commands.options import (
     StudyName,
     with_options,
 )
-from pipeline.commands.terminal import INCOMPLETE, interruptible, to_stdout
+from pipeline.commands.terminal import INCOMPLETE, to_stdout
 from pipeline.errors import PuddleError
 
 
@@ -65,12 +65,11 @@ def fabricate(
     if throwing_kit:
         to_stdout(*make_throwing_kit(of_kit, out))
         return
-    with interruptible():
-        if design is not None:
-            source = from_file(design, SettingsOptions(preset=preset or "pontoon", store=store).settings())
-        else:
-            source = proposed(open_study(str(study), store))
-        lines, n_faults = make(source, of_kit, out)
+    if design is not None:
+        source = from_file(design, SettingsOptions(preset=preset or "pontoon", store=store).settings())
+    else:
+        source = proposed(open_study(str(study), store))
+    lines, n_faults = make(source, of_kit, out)
     to_stdout(*lines)
     if n_faults:
         raise typer.Exit(INCOMPLETE)

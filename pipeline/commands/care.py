@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, Workers, with_options
-from pipeline.commands.terminal import INCOMPLETE, interruptible, to_stdout
+from pipeline.commands.terminal import INCOMPLETE, to_stdout
 
 _HOUR = 3600.0
 
@@ -39,7 +39,7 @@ def verify(
 
     options = StudyOptions(store=store)
     opened = options.open_store()
-    with interruptible(), opened.lock_all() if discard else nullcontext(), progress() as show:
+    with opened.lock_all() if discard else nullcontext(), progress() as show:
         n_items = len(list(opened.items()))
         with show.stage("verify", total=n_items) as advance:
             wrong = opened.verify(checked=lambda: advance(1))

@@ -22,7 +22,7 @@ from pipeline.commands.options import (
     program,
     with_options,
 )
-from pipeline.commands.terminal import interruptible, print_json, to_stderr, to_stdout
+from pipeline.commands.terminal import print_json, to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -156,8 +156,7 @@ def export(
     """
     from pipeline.results.export_folder import export_study
 
-    with interruptible():
-        to_stdout(*export_study(_opened(study, store), out, tables=tables, mjcf=mjcf))
+    to_stdout(*export_study(_opened(study, store), out, tables=tables, mjcf=mjcf))
 
 
 @with_options
@@ -171,9 +170,8 @@ def ui(
     from pipeline.store.store import Store
     from pipeline.tracking.server import show_ui
 
-    with interruptible():
-        root = store if tracking_uri else Store.open(store, create=False).root
-        show_ui(root, port, uri=tracking_uri or None, study=study)
+    root = store if tracking_uri else Store.open(store, create=False).root
+    show_ui(root, port, uri=tracking_uri or None, study=study)
 
 
 @with_options

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.commands.options import ExecutionOptions, SettingsOptions, StudyOptions, with_options
-from pipeline.commands.terminal import INCOMPLETE, interruptible, to_stderr, to_stdout
+from pipeline.commands.terminal import INCOMPLETE, to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _run_stages(
     store = options.open_store(create=True)
     if recompute:
         _discard(settings, recompute, store)
-    with interruptible(), progress() as show:
+    with progress() as show:
         upstream = drive(
             settings,
             wanted,

@@ -84,8 +84,8 @@ class Commands(TyperGroup):
             return super().make_context(*arguments, **options)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
-        with _named():
+        """Run the command, which the user or the system may stop."""
+        with _named(), interruptible():
             return super().invoke(ctx)
 
 
@@ -131,7 +131,7 @@ def exit_with(error: Exception) -> NoReturn:
 _AGAIN = "Committed results are safe: run the same command again once you have"
 _DISK_ADVICE = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), f"{_AGAIN} freed some space."),
-    **dict.fromkeys((errno.EROFS, errno.EACCES, errno.EPERM), f"{_AGAIN} allowed writing, or choose another folder."),
+    **dict.fromkeys((errno.EROFS, errno.EACCES, errno.EPERM), f"{_AGAIN} allowed access, or choose another folder."),
 }
 
 

@@ -57,11 +57,11 @@ def test_an_unknown_option_is_a_users_mistake(command, capsys):
         (EOFError(), 2, "puddle: the input ended too early"),
         (typer.Abort(), 2, "puddle: the input ended before the question was answered"),
         (BrokenPipeError(32, "Broken pipe"), 141, ""),
-        (KeyboardInterrupt(), 130, ""),
+        (KeyboardInterrupt(), 130, "Stopped. Finished work is safe"),
         (ArithmeticError("a defect"), 70, "ArithmeticError: a defect"),
         (OSError(5, "Input/output error"), 2, "puddle: Input/output error."),
         (OSError(28, "No space left on device", "a/b"), 2, "puddle: a/b: No space left on device. Committed results"),
-        (OSError(30, "Read-only file system", "a/b"), 2, "allowed writing, or choose another folder."),
+        (OSError(30, "Read-only file system", "a/b"), 2, "allowed access, or choose another folder."),
     ],
 )
 def test_every_end_of_a_command_has_its_code(error, code, said, capsys):
