@@ -5,7 +5,7 @@ workers need no shared disk. :func:`serial_cluster` (for debugging and tests) an
 results.
 """
 
-from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket
+from pipeline.cluster.interface import Cluster, Done, Outcome, TaskFailed, Ticket
 from pipeline.cluster.on_ray import Spread, ray_cluster
 from pipeline.cluster.process import prepare_process
 from pipeline.cluster.serial import serial_cluster
@@ -13,7 +13,6 @@ from pipeline.cluster.serial import serial_cluster
 __all__ = [
     "Cluster",
     "Done",
-    "Handle",
     "Outcome",
     "Spread",
     "TaskFailed",

@@ -17,13 +17,6 @@ class Ticket:
 
 
 @dataclass(frozen=True)
-class Handle:
-    """A value stored on the cluster once; a function submitted with the handle receives the value itself."""
-
-    reference: Any
-
-
-@dataclass(frozen=True)
 class Done:
     """The result of a call."""
 
@@ -56,8 +49,11 @@ class Cluster(Protocol):
     def n_gpus(self) -> float:
         """Number of GPUs in the cluster now."""
 
-    def share(self, value: Any) -> Handle:
-        """Store a large immutable value, such as an ensemble's weights, once for many calls."""
+    def share(self, value: Any) -> Any:
+        """Store a large immutable value, such as an ensemble's weights, once for many calls.
+
+        A function that is submitted with what this returns receives the value itself.
+        """
 
     def submit(
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
@@ -66,7 +62,7 @@ class Cluster(Protocol):
 
         Args:
             function: a pure function that can be pickled.
-            args: its arguments; each may be a :class:`Handle`, which is not looked for inside other values.
+            args: its arguments; a shared value must be one, not be inside of one.
             n_cores: cores that the call occupies. A function that only waits for its own :class:`Spread` takes 0;
                 each such call is a process, so the caller limits their number by memory.
             n_gpus: GPUs that the call occupies.
@@ -85,11 +81,6 @@ def failure(name: str, cause: BaseException) -> TaskFailed:
     failed = TaskFailed(name, str(cause) if isinstance(cause, TaskFailed) else f"{type(cause).__name__}: {cause}")
     failed.__cause__ = cause
     return failed
-
-
-def references(args: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Replace handles by their references."""
-    return tuple(arg.reference if isinstance(arg, Handle) else arg for arg in args)
 
 
 def name_of(function: Callable[..., Any]) -> str:

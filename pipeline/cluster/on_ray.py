@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
+from pipeline.cluster.interface import Cluster, Done, Outcome, TaskFailed, Ticket, failure, name_of
 from pipeline.cluster.process import PINNED_THREADS, end_at_once, ended_by_signals, number_of_cores, signals_unwind
 from pipeline.errors import PuddleError
 
@@ -111,16 +111,16 @@ class _Ray:
         self._check_alive()
         return float(ray.cluster_resources().get(name, 0.0))
 
-    def share(self, value: Any) -> Handle:
+    def share(self, value: Any) -> Any:
         import ray
 
-        return Handle(ray.put(value))
+        return ray.put(value)
 
     def submit(
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
-        reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *references(args))
+        reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *args)
         self._running[reference] = ticket
         return ticket
 

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, Ticket, failure, name_of, references
+from pipeline.cluster.interface import Cluster, Done, Outcome, Ticket, failure, name_of
 from pipeline.cluster.process import signals_unwind
 
 
@@ -30,8 +30,8 @@ class _Serial:
 
         return float(n_cuda_devices())
 
-    def share(self, value: Any) -> Handle:
-        return Handle(value)
+    def share(self, value: Any) -> Any:
+        return value
 
     def submit(
         self,
@@ -42,7 +42,7 @@ class _Serial:
         name: str = "",
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
-        self._waiting.append((ticket, function, references(args)))
+        self._waiting.append((ticket, function, args))
         return ticket
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:  # noqa: ARG002

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
+from pipeline.cluster import Cluster, Outcome, TaskFailed, Ticket
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json
 from pipeline.workflow.code_digest import recorded_code
@@ -48,7 +48,7 @@ class _Dispatcher:
     def __init__(self, run: StageRun, cluster: Cluster, advance: Callable[[float], object]) -> None:
         self._run, self._stage = run, run.stage
         self._cluster, self._advance = cluster, advance
-        self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
+        self._shared: dict[tuple[str, tuple[str, ...]], Any] = {}
         self._running: dict[Ticket, _Batch] = {}
         self._code = recorded_code(run.stage)  # before any worker loads it: files may be edited while it runs
 
@@ -66,7 +66,7 @@ class _Dispatcher:
 
     def _submit(self, chains: Sequence[ChainProgress]) -> None:
         items = [self._run.next_item(progress) for progress in chains]
-        contents: list[Handle | Files] = []
+        contents: list[Any] = []
         for item in items:
             contents += [self._contents(source) for source in item.inputs.values()]
         item = items[0]
@@ -89,7 +89,7 @@ class _Dispatcher:
         )
         self._running[ticket] = list(zip(chains, items, strict=True))
 
-    def _contents(self, source: Input | OutsideFile) -> Handle | Files:
+    def _contents(self, source: Input | OutsideFile) -> Any:
         """Read an input. Other stages' results are used many times, so they are shared once."""
         if isinstance(source, OutsideFile) or source.manifest.stage == self._stage.name:
             return source.read(self._run.store)
