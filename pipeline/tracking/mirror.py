@@ -103,7 +103,7 @@ class Tracker:
             runs[slot] = self._client.create_run(self._experiment, run_name=wanted.name, tags=tags)
         run = runs[slot]
         name = str(run.info.run_id)
-        changed = self._send_values(run, wanted, tags | wanted.tags)
+        changed = self._send_values(run, wanted, {**tags, **wanted.tags})
         changed |= self._send_files(run, wanted.artifacts)
         if wanted.status is not None and run.info.status != wanted.status:
             self._client.set_terminated(name, wanted.status)

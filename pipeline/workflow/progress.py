@@ -41,7 +41,8 @@ class Progress:
             total: cost of the whole stage, including what is done.
             done: cost of the work that the store already has.
         """
-        number = self.bars.add_task(name, total=total, completed=done)
+        number = self.bars.add_task(name, total=total)
+        self.bars.update(number, completed=done)
         (task,) = (one for one in self.bars.tasks if one.id == number)
 
         def advance(work: float) -> None:
