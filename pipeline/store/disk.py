@@ -96,11 +96,8 @@ def unused(path: Path) -> Path:
 
 
 def resolved(path: Path) -> Path:
-    """Return an absolute path without links, ``~`` being the user's home; raise PuddleError if it leads nowhere."""
-    try:
-        return path.expanduser().resolve()
-    except (OSError, RuntimeError) as error:
-        raise PuddleError(f"{path}: expected a path that can be followed: {error}. Choose another one.") from None
+    """Return an absolute path without links, ``~`` being the user's home."""
+    return path.expanduser().resolve()
 
 
 def digest_of(path: Path) -> str:

@@ -4,7 +4,6 @@ import sysconfig
 from pathlib import Path
 
 import pytest
-from command_line import call
 
 from pipeline.commands import options
 from pipeline.commands.options import StudyOptions, program
@@ -47,15 +46,3 @@ def test_the_program_is_named_as_it_is_found_from_the_working_folder(tmp_path, m
     assert program() == str(scripts / "puddle")
     monkeypatch.setenv("PATH", f"{scripts}:/usr/bin")  # the environment is active
     assert program() == "puddle"
-
-
-@pytest.mark.parametrize("place", ["circle/store", "~no-such-user/store", "too/" * 1500 + "store"])
-def test_a_store_at_a_path_that_cannot_be_followed(place, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    Path("circle").symlink_to("other")
-    Path("other").symlink_to("circle")
-    for command in (("status", "--preset", "smoke"), ("doctor", "--preset", "smoke", "--workers", "0"), ("ui",)):
-        assert call(*command, "--store", place) == 2
-        said = capsys.readouterr()
-        assert place[-40:] in "".join((said.out + said.err).split("\n")) and "Traceback" not in said.err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "other"]
