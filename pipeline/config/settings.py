@@ -78,13 +78,9 @@ class GridSettings(Parameters):
     def _values_differ(self) -> Self:
         _check_values_differ("environments", self.environments)
         for name in ("depths", "single_member_depths"):
-            _check_values_differ(name, getattr(self, name))
-            called: dict[str, float] = {}
-            for depth in getattr(self, name):
-                other = called.setdefault(f"{depth:g}", depth)  # as in labels
-                if other != depth:
-                    both = f"{other!r} and {depth!r}, and both are shown as {depth:g} m"
-                    raise ValueError(f"{name} has {both}: expected depths that differ in their first six digits")
+            _check_values_differ(
+                f"{name} (to six digits)", [f"{depth:g}" for depth in getattr(self, name)]
+            )  # as in labels
         return self
 
     def trials(self) -> list[tuple[EnvironmentName, float, int]]:

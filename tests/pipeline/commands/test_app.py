@@ -179,17 +179,10 @@ def test_paths_that_cannot_be_written_are_refused_before_the_work(name, capsys, 
     assert "--out: " in said and name in said and "store" not in said
 
 
-@pytest.mark.parametrize(
-    ("grid", "said"),
-    [
-        ("depths: [2.0, 1.0, 2.0]", "depths repeats a value: expected each value once"),
-        ("depths: [2.0, 1.0, 3.0, 1.0000001]", "depths has 1.0 and 1.0000001, and both are shown as 1 m"),
-        ("single_member_depths: [123.4567, 123.4568]", "single_member_depths has 123.4567 and 123.4568, and both"),
-    ],
-)
-def test_depths_with_the_same_label_are_refused(grid, said):
+@pytest.mark.parametrize("grid", ["depths: [2.0, 1.0, 2.0]", "single_member_depths: [123.4567, 123.4568]"])
+def test_depths_with_the_same_label_are_refused(grid):
     """Results are found by label: one trial's would stand for the other's."""
-    with pytest.raises(PuddleError, match=re.escape(said)):
+    with pytest.raises(PuddleError, match=r"depths \(to six digits\) repeats a value"):
         parse(Settings, f"grid: {{{grid}}}", name="mine")
     assert parse(Settings, "grid: {depths: [123.456, 123.457]}", name="mine").grid.depths == (123.456, 123.457)
 
