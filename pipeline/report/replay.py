@@ -30,7 +30,6 @@ class Replay:
     """One robot in one environment."""
 
     title: str  # heading for the reader
-    environment: str  # where the design evolved; "" if unknown
     seen_in: str  # where it is seen, in words
     depth: float  # depth of the ground below y = 0 [m]
     surroundings: Surroundings
@@ -39,6 +38,7 @@ class Replay:
     parent_attachment: Float64  # (n_links,) position of the joint on the parent's long axis [half heights]
     frames: Float64  # (n_frames, n_links, 3) x, y [m], angle [rad]
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME  # frames per second
+    environment: str = ""  # where the design evolved; "" if unknown
     disagreement: Float64 | None = None  # (n_frames, n_links) of the members of an ensemble [m/s²]; NaN where unknown
     color: str = "#566270"  # of the robot in a film: that of the arm where it evolved
     robot: str = ""  # address of the robot on the page and name of its design file; "" if it has none
@@ -96,27 +96,18 @@ def replay_of(
     trace: Floats,
     *,
     title: str,
-    environment: str,
     seen_in: str,
     depth: float,
     surroundings: Surroundings,
     n_settle: int,
-    command: str = "",
     time_step: float = Physics().time_step,
-    disagreement: Float64 | None = None,
 ) -> Replay:
-    """Return the replay of a design from its (n_steps, n_links, 6) trace, without ``n_settle`` steps at the start.
+    """Return the replay of a design from a finite (n_steps, n_links, 6) trace, without ``n_settle`` steps at the start.
 
-    The other arguments are fields of :class:`Replay`; disagreement is at its frames, see :func:`at_frames`.
-
-    Raises:
-        ValueError: the rollout diverged.
+    The other arguments are fields of :class:`Replay`.
     """
-    if not np.isfinite(trace).all():
-        raise ValueError(f"replay {title!r}: the rollout diverged, so there is nothing to show")
     return Replay(
         title=title,
-        environment=environment,
         seen_in=seen_in,
         depth=float(depth),
         surroundings=surroundings,
@@ -125,8 +116,6 @@ def replay_of(
         parent_attachment=design.parent_attachment[0],
         frames=at_frames(trace[..., :3], n_settle),
         fps=1 / (STEPS_PER_FRAME * time_step),
-        disagreement=disagreement,
-        command=command,
     )
 
 

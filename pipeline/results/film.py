@@ -50,7 +50,6 @@ def film(
         design,
         trace[0],
         title=path.stem,
-        environment="",
         seen_in="air" if environment.medium is None else type(environment.medium).__name__,
         depth=environment.depth,
         surroundings=surroundings,

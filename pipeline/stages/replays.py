@@ -133,19 +133,17 @@ def replay_in(
         doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
     label = "Residual Slush" if kind.learned else kind.label
     other: Surroundings = "air" if environment.components[0].medium is None else "medium"
-    return replay_of(
+    replay = replay_of(
         design,
         trace[0],
         title=title,
-        environment="",
         seen_in=label if member is None else f"{label} (member {member if number is None else number})",
         depth=environment.depth,
         surroundings="hallucinated medium" if kind.learned else other,
-        command="residual_slush" if kind.learned else name,
         n_settle=n_settle,
         time_step=physics.time_step,
-        disagreement=doubts,
     )
+    return replace(replay, command="residual_slush" if kind.learned else name, disagreement=doubts)
 
 
 def median_member(values: Float64) -> int:

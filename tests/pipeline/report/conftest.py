@@ -35,33 +35,17 @@ def rollout():
 def slush_replay(rollout) -> Replay:
     design, trace, _ = rollout
     seen = replay_of(
-        design,
-        trace,
-        title="With residuals",
-        environment="residual_slush",
-        seen_in="True Slush",
-        depth=2.0,
-        surroundings="medium",
-        command="true_slush",
-        n_settle=N_SETTLE,
+        design, trace, title="With residuals", seen_in="True Slush", depth=2.0, surroundings="medium", n_settle=N_SETTLE
     )
-    return replace(seen, in_target=True)
+    return replace(seen, environment="residual_slush", command="true_slush", in_target=True)
 
 
 @pytest.fixture(scope="session")
 def dry_replay(rollout) -> Replay:
     design, _, _ = rollout
     trace = simulate(design, DryLand(0.5), n_settle=0, n_measure=120, engine="reference", trace=True).trace[0]
-    return replay_of(
-        design,
-        trace,
-        title="On dry land",
-        environment="dry_land",
-        seen_in="Dry Land",
-        depth=0.5,
-        surroundings="air",
-        n_settle=0,
-    )
+    words = {"title": "On dry land", "seen_in": "Dry Land", "depth": 0.5, "surroundings": "air"}
+    return replace(replay_of(design, trace, n_settle=0, **words), environment="dry_land")
 
 
 @pytest.fixture(scope="session")
