@@ -46,7 +46,8 @@ milliseconds would cut the last picture short."""
 def render_gif(replays: Sequence[Replay]) -> bytes:
     """Return a film of replays above one another as a GIF that repeats forever."""
     drawn, out = pictures(replays, every=GIF_EVERY), io.BytesIO()
-    first = next(drawn).quantize(_MOST_COLORS, dither=Image.Dither.NONE)
+    # With k-means, robots keep their colours.
+    first = next(drawn).quantize(_MOST_COLORS, kmeans=3, dither=Image.Dither.NONE)
     rest = (picture.quantize(palette=first, dither=Image.Dither.NONE) for picture in drawn)
     duration = round(1000 * GIF_EVERY / FILM_FPS)
     # "optimize" writes only the part of a picture that changed.
