@@ -11,7 +11,6 @@ from operator import eq
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, create_model, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
@@ -329,17 +328,14 @@ class Settings(Parameters):
         known = (*ENVIRONMENTS, *self.learners)
         media = [name for name, kind in ENVIRONMENTS.items() if kind.has_one_medium]
         for place, names, allowed in (
-            (("target",), (self.target,), media),
-            (("grid", "environments"), self.grid.environments, known),
-            (("transfer", "adapted_environments"), self.transfer.adapted_environments, known),
+            ("target", (self.target,), media),
+            ("grid.environments", self.grid.environments, known),
+            ("transfer.adapted_environments", self.transfer.adapted_environments, known),
         ):
             for name in names:
                 if name not in allowed:
                     one_medium = "an environment of one medium, " if allowed is media else ""
-                    words = f"expected {one_medium}any of {', '.join(allowed)}, got {name!r}"
-                    unknown = PydanticCustomError("value_error", words)
-                    errors: list[InitErrorDetails] = [{"type": unknown, "loc": place, "input": name}]
-                    raise ValidationError.from_exception_data("Settings", errors)
+                    raise ValueError(f"{place}: expected {one_medium}any of {', '.join(allowed)}, got {name!r}")
         wetted = [name for name, learner in self.arm_learners.items() if learner.network.form == "wetted"]
         groups = {group: getattr(self, group) for group in settings_groups()}
         medium = ENVIRONMENTS[self.target].environment(0.0, groups).medium
