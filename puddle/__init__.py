@@ -36,7 +36,7 @@ for _package in (pipeline, tasks):
 from pipeline.errors import PuddleError
 from tasks.design import GENES, Designs, crossover, mutate, random_designs
 from tasks.simulation import simulate
-from tasks.world import DryLand, Physics, Pool, RandomisedSlush, ResidualSlush, TrueSlush
+from tasks.world import DryLand, LinkStates, Physics, Pool, RandomisedSlush, ResidualSlush, TrueSlush, VelocityChange
 
 if TYPE_CHECKING:
     from pipeline.results.film import film
@@ -46,12 +46,14 @@ __all__ = [
     "GENES",
     "Designs",
     "DryLand",
+    "LinkStates",
     "Physics",
     "Pool",
     "PuddleError",
     "RandomisedSlush",
     "ResidualSlush",
     "TrueSlush",
+    "VelocityChange",
     "crossover",
     "film",
     "load_design",

@@ -8,14 +8,15 @@ from pipeline.report.replay import Surroundings, replay_of
 from pipeline.stages.replays import median_member
 from tasks.design import Designs
 from tasks.simulation import OK, simulate
-from tasks.world import Environment, Physics, ResidualSlush
+from tasks.world import Environment, Medium, Physics, ResidualSlush, as_environment
 
 
 def film(
     design: Designs,
-    environment: Environment,
+    environment: Environment | Medium | str,
     path: str | Path,
     *,
+    depth: float | None = None,
     n_settle: int = 200,
     n_measure: int = 1200,
     physics: Physics | None = None,
@@ -24,8 +25,9 @@ def film(
 
     Args:
         design: a single design.
-        environment: such as ``TrueSlush(depth=9.0)``, or ``Pool(9.0, fluid)`` for a fluid of your own.
+        environment: such as ``TrueSlush(depth=9.0)``, or a medium of your own or the name of one, which is 9 m deep.
         path: file that ends in .mp4 or .gif; it is replaced.
+        depth: another depth of such a medium [m].
         n_settle: steps before the film begins.
         n_measure: steps of the film, 60 a second.
         physics: constants of the simulator; the paper's by default.
@@ -33,7 +35,7 @@ def film(
     Raises:
         PuddleError: there is not one design, the file has another ending or can't be written, or the rollout diverged.
     """
-    path = Path(path)
+    path, environment = Path(path), as_environment(environment, depth)
     if len(design) != 1:
         raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
     if path.suffix not in RENDERERS:

@@ -188,14 +188,20 @@ class Study:
         return design_from(decode_json(found["design_json"][0].as_py().encode(), where), where)
 
     def simulate(
-        self, designs: Designs, environment: str | None = None, *, depth: float, trial: int = 0, trace: bool = False
+        self,
+        designs: Designs,
+        environment: str | None = None,
+        *,
+        depth: float | None = None,
+        trial: int = 0,
+        trace: bool = False,
     ) -> Rollouts:
         """Simulate designs as the study does: with its rollout, physics, media and networks.
 
         Args:
             designs: n_designs designs, such as a champion.
             environment: a medium such as ``true_slush``, or one of the study's learners; by default the target.
-            depth: of the ground below the surface [m].
+            depth: of the ground below the surface [m]; by default the greatest of the study.
             trial: number of the trial whose networks a learner has.
             trace: whether to record the state after every step.
 
@@ -204,6 +210,7 @@ class Study:
             MissingInputs: a network is not trained yet.
         """
         environment = self.settings.target if environment is None else environment
+        depth = max(self.settings.grid.depths) if depth is None else depth
         learner = self.settings.learner(environment)
         if learner is None and environment not in ENVIRONMENTS:
             known = ", ".join((*ENVIRONMENTS, *self.settings.learners))

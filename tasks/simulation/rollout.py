@@ -15,7 +15,7 @@ from tasks.arrays import Float32, Float64
 from tasks.design.genes import Designs, check
 from tasks.simulation import batch, reference
 from tasks.simulation.box2d import Column, Motion
-from tasks.world import Environment, Physics
+from tasks.world import Environment, Medium, Physics, as_environment
 
 Engine = Literal["batch", "reference"]
 ENGINES = {"batch": batch.roll_out, "reference": reference.roll_out}
@@ -45,8 +45,9 @@ class Rollouts:
 
 def simulate(
     designs: Designs,
-    environment: Environment,
+    environment: Environment | Medium | str,
     *,
+    depth: float | None = None,
     n_settle: int = 200,
     n_measure: int = 1200,
     engine: Engine = "batch",
@@ -58,7 +59,8 @@ def simulate(
 
     Args:
         designs: n_designs designs.
-        environment: depth and medium.
+        environment: depth and medium, or a medium of your own or the name of one, which is 9 m deep.
+        depth: another depth of such a medium [m].
         n_settle: steps before the displacement is measured.
         n_measure: steps over which it is measured.
         engine: "reference" is pybox2d; "batch" computes the same bits faster.
@@ -71,17 +73,19 @@ def simulate(
 
     Raises:
         tasks.design.DesignError: a design is out of bounds.
+        TypeError: designs or environment are something else.
         ValueError: an argument is out of range.
     """
+    environment, physics = as_environment(environment, depth), Physics() if physics is None else physics
+    for argument, value, kind in (("designs", designs, Designs), ("physics", physics, Physics)):
+        if not isinstance(value, kind):
+            raise TypeError(f"{argument}: expected {kind.__name__}, got {type(value).__name__}")
     check(designs)
     for name, value, least in (("n_settle", n_settle, 0), ("n_measure", n_measure, 1)):
-        if value < least:
-            raise ValueError(f"{name} is {value}, expected at least {least}")
+        if not isinstance(value, int | np.integer) or value < least:
+            raise ValueError(f"{name} is {value!r}, expected at least {least}, a whole number")
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
-    if not isinstance(environment, Environment):
-        raise TypeError(f"environment: expected one, such as TrueSlush(depth=9.0), got {environment!r}")
-    physics = physics or Physics()
     motions = [
         ENGINES[engine](
             designs, component, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work

@@ -12,7 +12,7 @@ from tasks.world.medium import EnsembleMedium, LinkStates, Medium, VelocityChang
 from tasks.world.physics import Physics, froude_time
 from tasks.world.randomised_slush import RandomisedSlush, RandomisedSlushes
 from tasks.world.registry import ENVIRONMENTS, EnvironmentName
-from tasks.world.residual_slush import ResidualSlush, environment_kind, in_order
+from tasks.world.residual_slush import ResidualSlush, as_environment, environment_kind, in_order
 from tasks.world.slush import Slush, TrueSlush
 
 for _module in pkgutil.iter_modules(__path__):

@@ -8,9 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from tasks.world.environment import Environment
-from tasks.world.medium import EnsembleMedium
+from tasks.world.environment import Environment, Pool
+from tasks.world.medium import EnsembleMedium, Medium
 from tasks.world.registry import ENVIRONMENTS, EnvironmentKind, register
+
+_PAPERS_DEPTH = 9.0  # of the ground below the surface, where the paper compares environments [m]
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,37 @@ def environment_kind(name: str) -> EnvironmentKind:
         about="Residual Slush as this learner of the study knows it; the settings say what it learned from.",
         order=6,
     )
+
+
+def as_environment(given: Environment | Medium | str, depth: float | None = None) -> Environment:
+    """Return an environment: itself, the one of a name with default settings, or a pool of a medium.
+
+    Args:
+        given: an environment, a medium such as one that is written in a notebook, or a name such as ``flowing_slush``.
+        depth: depth of the ground below the surface [m], by default the paper's 9; an environment has its own.
+
+    Raises:
+        ValueError: the name is unknown or needs trained networks, or an environment has another depth.
+        TypeError: it is none of these.
+    """
+    if isinstance(given, Environment):
+        if depth not in (None, given.depth):
+            raise ValueError(f"depth is {depth!r}, but the environment has its own: expected None or {given.depth:g}")
+        return given
+    depth = _PAPERS_DEPTH if depth is None else depth
+    if isinstance(given, str):
+        media = {name: kind for name, kind in ENVIRONMENTS.items() if not kind.learned}
+        if given not in media:
+            raise ValueError(
+                f"environment: expected one of {', '.join(media)}, or ResidualSlush(depth, ensemble) for networks, got "
+                f"{given!r}"
+            )
+        kind = media[given]
+        settings = kind.for_study(kind.settings(), 1) if kind.settings else None
+        return kind.environment(depth, {str(kind.settings_group): settings})
+    if isinstance(given, type) or not hasattr(given, "velocity_change"):
+        raise TypeError(f"environment: expected one, such as TrueSlush(depth=9.0), a medium or a name, got {given!r}")
+    return ResidualSlush(depth, given) if hasattr(given, "n_members") else Pool(depth, given)  # type: ignore[arg-type]
 
 
 def in_order(environments: Iterable[str]) -> list[str]:

@@ -15,7 +15,7 @@ import puddle
 import tasks.design
 import tasks.simulation
 import tasks.world
-from tasks.world import VelocityChange
+from tasks.world.flowing_slush import FlowingSlush
 
 
 def test_names_are_those_of_the_packages():
@@ -72,7 +72,7 @@ class Honey:
 
     def velocity_change(self, links, physics):
         held = links.y < 0
-        return VelocityChange(*(np.where(held, -v, 0 * v) for v in (links.vx, links.vy, links.omega)))
+        return puddle.VelocityChange(*(np.where(held, -v, 0 * v) for v in (links.vx, links.vy, links.omega)))
 
 
 def test_a_design_is_filmed_in_a_medium_of_ones_own(tmp_path):
@@ -86,7 +86,36 @@ def test_a_design_is_filmed_in_a_medium_of_ones_own(tmp_path):
         puddle.film(design, at, tmp_path / "honey.avi")
 
 
-def test_a_name_is_no_environment():
-    designs = puddle.random_designs(1, np.random.default_rng(0))
-    with pytest.raises(TypeError, match=r"environment: expected one, such as TrueSlush\(depth=9.0\), got 'true_slush'"):
-        puddle.simulate(designs, "true_slush")
+def test_an_environment_is_also_a_name_or_a_medium():
+    designs, steps = puddle.random_designs(3, np.random.default_rng(0)), {"n_settle": 20, "n_measure": 60}
+    for short, depth, whole in (
+        ("true_slush", None, puddle.TrueSlush(9.0)),
+        ("flowing_slush", 2.0, puddle.Pool(2.0, FlowingSlush())),
+        ("randomised_slush", None, puddle.RandomisedSlush(9.0)),
+        (Honey(), 2.0, puddle.Pool(2.0, Honey())),
+    ):
+        found = puddle.simulate(designs, short, depth=depth, **steps).displacement
+        np.testing.assert_array_equal(found, puddle.simulate(designs, whole, **steps).displacement)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "said"),
+    [
+        ({"environment": "mud"}, ValueError, r"environment: expected one of true_slush, dry_land, .*, got 'mud'"),
+        ({"environment": "residual_slush"}, ValueError, r"or ResidualSlush\(depth, ensemble\) for networks, got"),
+        ({"environment": puddle.TrueSlush}, TypeError, "environment: expected one, such as TrueSlush"),
+        ({"environment": Honey}, TypeError, "environment: expected one, such as TrueSlush"),
+        ({"environment": None}, TypeError, "environment: expected one, such as TrueSlush"),
+        ({"environment": puddle.DryLand(1.0), "depth": 2.0}, ValueError, "depth is 2.0, but the environment has"),
+        ({"environment": "dry_land", "depth": -1}, ValueError, "depth is -1, expected a finite number of metres"),
+        ({"designs": {"frequency": [0.1]}}, TypeError, "designs: expected Designs, got dict"),
+        ({"physics": 3}, TypeError, "physics: expected Physics, got int"),
+        ({"n_measure": 0}, ValueError, "n_measure is 0, expected at least 1"),
+        ({"n_settle": 1.5}, ValueError, "n_settle is 1.5, expected at least 0, a whole number"),
+        ({"engine": "fast"}, ValueError, "engine is 'fast', expected 'batch' or 'reference'"),
+    ],
+)
+def test_a_wrong_argument_of_simulate_is_named(arguments, error, said):
+    usual = {"designs": puddle.random_designs(1, np.random.default_rng(0)), "environment": "true_slush"}
+    with pytest.raises(error, match=said):
+        puddle.simulate(**usual | arguments)
