@@ -77,9 +77,9 @@ def simulate(
         ValueError: an argument is out of range.
     """
     environment, physics = as_environment(environment, depth), Physics() if physics is None else physics
-    for argument, value, kind in (("designs", designs, Designs), ("physics", physics, Physics)):
-        if not isinstance(value, kind):
-            raise TypeError(f"{argument}: expected {kind.__name__}, got {type(value).__name__}")
+    for argument, given, kind in (("designs", designs, Designs), ("physics", physics, Physics)):
+        if not isinstance(given, kind):
+            raise TypeError(f"{argument}: expected {kind.__name__}, got {type(given).__name__}")
     check(designs)
     for name, value, least in (("n_settle", n_settle, 0), ("n_measure", n_measure, 1)):
         if not isinstance(value, int | np.integer) or value < least:
