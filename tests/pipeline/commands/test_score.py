@@ -30,12 +30,12 @@ def test_designs_of_a_history_score_again_what_it_says(recorded, designs, tmp_pa
     assert f"Residual Slush, 1 m deep: {len(before)} designs, 0 diverged" in said and str(out) in said
 
 
-def test_scores_in_an_environment_without_networks_need_no_store(recorded, designs, tmp_path):
+def test_scores_in_the_target_need_no_store(recorded, designs, tmp_path):
     champions = open_study("tiny", recorded).champions().select(["design_json"])
     pq.write_table(champions, tmp_path / "champions.parquet")
     (tmp_path / "tiny.json").write_text(json.dumps({"name": "tiny", "rollout": {"n_settle": 5, "n_measure": 20}}))
     out = tmp_path / "scores.csv"
-    at = ["--environment", "true_slush", "--depth", "1", "--settings", str(tmp_path / "tiny.json")]
+    at = ["--depth", "1", "--settings", str(tmp_path / "tiny.json")]
     assert call("score", str(tmp_path / "champions.parquet"), *at, "--out", str(out)) == 0
     heading, *rows = out.read_text().splitlines()
     assert heading == "design,diverged,fitness,displacement,com_displacement" and len(rows) == len(champions)
