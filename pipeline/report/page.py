@@ -106,12 +106,7 @@ FIGURES: Mapping[str, PageFigure] = {
         "evolution",
         "Fitness of the best robot of each cell over all trials at the greatest depth, in the environment where the "
         "robots evolve. Cells at the edge hold what lies beyond. The table elites.csv names every robot.",
-        lambda page: transfer_figures.elites(
-            page.rows("elites"),
-            page.settings.evolution.optimiser,
-            OBJECTIVES[page.settings.evolution.objective].unit,
-            page.looks,
-        ),
+        lambda page: transfer_figures.elites(page.rows("elites"), page.settings.evolution, page.looks),
     ),
     "prediction_accuracy": PageFigure(
         "Prediction accuracy",

@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from pipeline.config.settings import EvolutionSettings
 from pipeline.report.drawing import (
     FAINT,
     FIGURE_WIDTH,
@@ -26,7 +27,7 @@ from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.elites import Elite
 from tasks.analysis.tables.transfer import TransferRow
 from tasks.arrays import Float64
-from tasks.evolution import Optimiser
+from tasks.evolution import OBJECTIVES
 from tasks.evolution.map_elites import MEASURES, MapElites
 from tasks.world import environment_kind
 
@@ -157,9 +158,9 @@ def _curve(panel: Any, curves: Sequence[Float64], color: str) -> None:
     panel.plot(shown[usable], mean, color=color)
 
 
-def elites(rows: Sequence[Elite], search: Optimiser, unit: str, looks: Mapping[str, Look]) -> Figure:
+def elites(rows: Sequence[Elite], evolution: EvolutionSettings, looks: Mapping[str, Look]) -> Figure:
     """Draw a panel for every environment at the greatest depth: the best fitness over trials of each cell of bodies."""
-    if not rows or not isinstance(search, MapElites):
+    if not rows or not isinstance(search := evolution.optimiser, MapElites):
         raise NothingToDraw
     depth = max(row.depth for row in rows)
     shown = [row for row in rows if row.depth == depth]
@@ -179,5 +180,5 @@ def elites(rows: Sequence[Elite], search: Optimiser, unit: str, looks: Mapping[s
         panel.set_title(f"{environment_kind(name).label}, {depth:g} m")
     figure.supxlabel("body length at rest [m]")
     figure.supylabel("body size: sum of links [m]")
-    figure.colorbar(image, ax=list(panels), label=f"fitness [{unit}]")
+    figure.colorbar(image, ax=list(panels), label=f"fitness [{OBJECTIVES[evolution.objective].unit}]")
     return figure

@@ -234,15 +234,12 @@ def join_curves(parts: Mapping[str, bytes]) -> dict[str, npt.NDArray[Any]]:
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def draws_of(curves: Sequence[Mapping[str, npt.NDArray[Any]]]) -> dict[str, tuple[int, int]]:
+def draws_of(curves: Sequence[Mapping[str, npt.NDArray[Any]]]) -> dict[str, tuple[int, ...]]:
     """Count the draws of each operator over some trials, and those that the morphology rejected."""
     operators = [name.removeprefix(DRAWN) for name in (curves[0] if curves else ()) if name.startswith(DRAWN)]
     return {
-        operator: (drawn, rejected)
-        for operator in operators
-        for drawn, rejected in [
-            (sum(int(curve[prefix + operator].sum()) for curve in curves) for prefix in (DRAWN, REJECTED))
-        ]
+        name: tuple(sum(int(curve[prefix + name].sum()) for curve in curves) for prefix in (DRAWN, REJECTED))
+        for name in operators
     }
 
 

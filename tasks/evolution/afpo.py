@@ -53,7 +53,7 @@ class Afpo(Breeding):
         )
 
 
-register_search(Search("afpo", "age-fitness Pareto optimisation", Afpo))
+register_search(Search("afpo", Afpo))
 
 
 def _ages(population: Population) -> Int64:

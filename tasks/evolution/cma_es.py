@@ -92,17 +92,11 @@ class CmaEs(Parameters):
         h = length / np.sqrt(1 - (1 - c_sigma) ** (2 * generation)) < (1.4 + 2 / (n + 1)) * norm  # the step is short
         p_c = (1 - c_c) * p_c + h * np.sqrt(c_c * (2 - c_c) * mu_eff) * y_w  # (45)
         C = (1 - c_1 - c_mu + (1 - h) * c_1 * c_c * (2 - c_c)) * C + c_1 * np.outer(p_c, p_c) + c_mu * (y.T * w) @ y
-        sigma = sigma * np.exp(c_sigma / d_sigma * (length / norm - 1))  # (44); C is (47), the mean (42)
-        return {
-            "m": _folded(m + population.extra["sigma"] * y_w),
-            "sigma": sigma,
-            "C": C,
-            "p_sigma": p_sigma,
-            "p_c": p_c,
-        }
+        m, sigma = _folded(m + sigma * y_w), sigma * np.exp(c_sigma / d_sigma * (length / norm - 1))  # (42), (44)
+        return {"m": m, "sigma": sigma, "C": C, "p_sigma": p_sigma, "p_c": p_c}
 
 
-register_search(Search("cma_es", "CMA-ES on a fixed body", CmaEs))
+register_search(Search("cma_es", CmaEs))
 
 
 def _principal_axes(C: Float64) -> tuple[Float64, Float64]:

@@ -74,7 +74,7 @@ class MapElites(Breeding):
         return GridArchive(solution_dim=N_COLUMNS, dims=self.cells, ranges=[*MEASURES.values()], extra_fields=fields)
 
 
-register_search(Search("map_elites", "MAP-Elites", MapElites, package="ribs"))
+register_search(Search("map_elites", MapElites, package="ribs"))
 
 
 def measure_bodies(designs: Designs) -> Float64:

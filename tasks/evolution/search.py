@@ -125,14 +125,7 @@ class Optimiser(Protocol):
         """
 
     def tell(self, population: Population, children: Children, evaluation: Evaluation, rng: Generator) -> Population:
-        """Return what it knows once children are evaluated; a design that diverged has a fitness of -inf.
-
-        Args:
-            population: what it knew when it asked.
-            children: the children that :meth:`ask` returned.
-            evaluation: their scores.
-            rng: the generator that :meth:`ask` drew from.
-        """
+        """Return what it knows once its children are evaluated; a design that diverged has a fitness of -inf."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +133,6 @@ class Search:
     """A search as settings name it: ``evolution.search`` chooses it, ``evolution.NAME`` are its settings."""
 
     name: str
-    label: str
     settings: type[Parameters]  # an Optimiser
     package: str = ""  # that it imports and that only the extra `search` installs
 
