@@ -13,8 +13,9 @@ PINNED_THREADS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_
 """One thread per process: torch's results change in their last bits with the number of threads, and a study's results
 must not depend on the number of cores."""
 
-_QUOTA = Path("/sys/fs/cgroup/cpu.max")
-"""File with a container's quota and period of processor time."""
+_CGROUP = Path("/sys/fs/cgroup")
+_QUOTAS = (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"))
+"""Files with a container's quota and period of processor time: of cgroups version 2, and of version 1."""
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
@@ -34,9 +35,10 @@ def prepare_process() -> None:
 def number_of_cores() -> int:
     """Return the cores that this process may use: its affinity (also Slurm's) and its container's quota, at least 1."""
     cores = float(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
-    with contextlib.suppress(OSError, ValueError):  # not in a container, or in one without a quota
-        quota, period = map(int, _QUOTA.read_text().split())
-        cores = min(cores, quota / period)
+    for files in _QUOTAS:
+        with contextlib.suppress(OSError, ValueError):  # not in a container, or in one without a quota
+            quota, period = (int(word) for name in files for word in (_CGROUP / name).read_text().split())
+            cores = min(cores, quota / period) if quota > 0 else cores
     return max(1, int(cores))
 
 

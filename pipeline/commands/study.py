@@ -52,6 +52,7 @@ def _run_stages(
     options: StudyOptions, execution: ExecutionOptions, stages: tuple[str, ...], recompute: Collection[str]
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE."""
+    from pipeline.commands.time_model import forecast_stages
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.driver import drive
@@ -81,6 +82,7 @@ def _run_stages(
             tracker=Tracker(store.root, execution.tracking_uri, say=show.say),
             progress=show,
             source=options.source,
+            expected_seconds=lambda n: {one.stage: one.seconds(n) for one in forecast_stages(settings, store)},
         )
     if wanted[-1] is STAGES[-1]:
         _show_headline(settings, upstream, store, options.named(settings.name))

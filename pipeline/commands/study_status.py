@@ -12,7 +12,7 @@ from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
 from pipeline.store.store import Store, StudyRecord
-from pipeline.workflow.graph import other_code, survey
+from pipeline.workflow.graph import survey
 from pipeline.workflow.record import recorded_study, settings_of
 
 
@@ -121,7 +121,7 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
                 results.n_other_code,
             )
         )
-    notes += filter(None, [other_code(found.upstream)])
+    notes += filter(None, [found.note(settings.name)])
     return StudyStatus(settings.name, str(store.root), driver, tuple(stages), tuple(notes))
 
 

@@ -22,7 +22,7 @@ from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store, StudyRecord
-from pipeline.workflow.graph import Survey, other_code, survey
+from pipeline.workflow.graph import Survey, survey
 from pipeline.workflow.identity import TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import Execution, Upstream
@@ -81,8 +81,8 @@ class Study:
 
     @property
     def note(self) -> str:
-        """A line that names stages whose results a different version of the code made; "" if there are none."""
-        return other_code(self.upstream)
+        """A line that names stages of which today's code would make other results, or that other code made; or ""."""
+        return self._recorded.note(self.name)
 
     @property
     def progress(self) -> dict[str, StageProgress]:

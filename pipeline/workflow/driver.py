@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -36,6 +37,7 @@ def drive(
     tracker: Tracker,
     progress: Progress,
     source: str = "",
+    expected_seconds: Callable[[float], Mapping[str, float]] = lambda n_cores: {},
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
 
@@ -51,6 +53,7 @@ def drive(
         tracker: mirrors runs to MLflow.
         progress: shows progress to the user.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
+        expected_seconds: returns about how long what is left of each stage takes on a number of cores [s].
 
     Returns:
         Results of every stage up to the last one wanted, by name; those of wanted stages say what diverged.
@@ -73,7 +76,8 @@ def drive(
 
         record = DrivenStudy(settings, store, progress.say, source)
 
-        driver = _Driver(settings, stages, store, record, cluster, mirror, progress)
+        times = functools.cache(lambda: expected_seconds(cluster().n_cores))
+        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, times)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -101,6 +105,7 @@ class _Driver:
     cluster: Callable[[], Cluster]
     mirror: StudyMirror
     progress: Progress
+    times: Callable[[], Mapping[str, float]]
 
     def run(self, wanted: Sequence[AnyStage]) -> Upstream:
         upstream: dict[str, Results] = {}
@@ -113,7 +118,7 @@ class _Driver:
                 continue
             require(self.settings, stage, self.stages, upstream)
             try:
-                self._compute(run, chains)
+                self._compute(run, chains, wanted)
             finally:  # `puddle status` needs to know what failed, however the stage ended
                 upstream[stage.name] = results_of(stage, chains)
                 self.record.update(upstream)
@@ -126,12 +131,15 @@ class _Driver:
             self.progress.say(line)
         return upstream
 
-    def _compute(self, run: StageRun, chains: Sequence[ChainProgress]) -> None:
+    def _compute(self, run: StageRun, chains: Sequence[ChainProgress], wanted: Sequence[AnyStage]) -> None:
         if not any(chain.open for chain in chains):
             return
         left = sum(chain.left for chain in chains if chain.open)
         done = sum(chain.done for chain in chains)
         cluster = self.cluster()
-        place = f"stage {self.stages.index(run.stage) + 1} of {len(self.stages)}, {run.stage.name}"
-        with self.mirror.live(run.stage, chains), self.progress.stage(place, total=left + done, done=done) as advance:
+        number = self.stages.index(run.stage) + 1
+        place = f"stage {number} of {len(self.stages)}, {run.stage.name}"
+        later = sum(self.times().get(stage.name, 0.0) for stage in self.stages[number:] if stage in wanted)
+        bar = self.progress.stage(place, total=left + done, done=done, later=later)
+        with self.mirror.live(run.stage, chains), bar as advance:
             run_stage(run, chains, cluster=cluster, advance=advance)

@@ -29,6 +29,7 @@ class ChainProgress:
     manifests: list[Manifest] = field(default_factory=list)
     n_failures: int = 0  # consecutive failures of the next item, computed by itself
     failed: Failure | None = None  # why the chain can't go on, if it can't
+    elsewhere: bool = False  # whether today's code would give its items other keys than those on record
     alone: bool = False  # whether the next item has failed: it is tried again by itself, so that no other fails with it
 
     @property
@@ -93,7 +94,10 @@ class StageRun:
     def _recorded(self, chain: Chain[Any], keys: Sequence[str]) -> ChainProgress:
         units = chain.units if len(chain.units) == len(keys) else chain.units[:1] * len(keys)
         progress = ChainProgress(replace(chain, units=units))
-        for key in keys:
+        for index, key in enumerate(keys):
+            if len(progress.manifests) == index:
+                with contextlib.suppress(MissingInputs):
+                    progress.elsewhere |= self.next_item(progress).key != key
             try:
                 manifest = self.store.manifest(self.stage.name, key)
                 progress.manifests += [] if manifest is None else [manifest]
@@ -150,11 +154,21 @@ class Survey:
 
     chains: Mapping[str, Sequence[ChainProgress]]
     upstream: Upstream
+    elsewhere: tuple[str, ...]  # stages that today's code and settings would give other keys than the record
 
     @property
     def items(self) -> set[tuple[str, str]]:
         """Stage and key of every item."""
         return {(stage, one.key) for stage, chains in self.chains.items() for each in chains for one in each.manifests}
+
+    def note(self, name: str) -> str:
+        """Say in a line that today's code leads elsewhere, or that other code made results; "" if neither."""
+        if not self.elsewhere:
+            return other_code(self.upstream)
+        return (
+            f"study {name}: shown as it was recorded. Today's code leads its settings to other results of "
+            f"{', '.join(self.elsewhere)}; `puddle study {name}` computes them."
+        )
 
 
 def survey(
@@ -178,13 +192,15 @@ def survey(
     if record is not None and settings_of(record) == settings:
         for item in record.items:  # in the order of their chains
             keys.setdefault((item.stage, item.label.rpartition("#")[0]), []).append(item.key)
+    read = {name for stage in stages for name in stage.reads(settings)}  # not the page, which names its versions
     chains: dict[str, list[ChainProgress]] = {}
     upstream: dict[str, Results] = {}
     for stage in stages:
         run = StageRun(stage, settings, upstream, store, say)
         chains[stage.name] = run.chains(keys)
         upstream[stage.name] = results_of(stage, chains[stage.name])
-    return Survey(chains, upstream)
+    led = (name for name, own in chains.items() if name in read and any(one.elsewhere for one in own))
+    return Survey(chains, upstream, tuple(led))
 
 
 def discard_items(settings: Settings, names: Collection[str], stages: Sequence[AnyStage], store: Store) -> int:

@@ -1,4 +1,4 @@
-"""Progress of a stage: the share of its work that is done, and the time left.
+"""Progress of a stage: the share of its work that is done, and the time left for it and for the study.
 
 A terminal shows a bar; anything else (a log, a pipe, a batch job) gets a line now and then. Both go to standard error,
 so that results on standard output can be piped.
@@ -33,15 +33,19 @@ class Progress:
         self.console.print(line, markup=False, soft_wrap=True)
 
     @contextmanager
-    def stage(self, name: str, *, total: float, done: float = 0.0) -> Iterator[Callable[[float], None]]:
+    def stage(
+        self, name: str, *, total: float, done: float = 0.0, later: float = 0.0
+    ) -> Iterator[Callable[[float], None]]:
         """Return a context manager that shows a stage while it runs, and gives what counts work just done.
 
         Args:
             name: the stage's name.
             total: cost of the whole stage, including what is done.
             done: cost of the work that the store already has.
+            later: time that the stages after it should take [s].
         """
-        number = self.bars.add_task(name, total=total)
+        after = f"; then {timedelta(seconds=round(later))}" if later else ""
+        number = self.bars.add_task(name, total=total, after=after)
         self.bars.update(number, completed=done)
         (task,) = (one for one in self.bars.tasks if one.id == number)
 
@@ -49,7 +53,11 @@ class Progress:
             self.bars.advance(number, work)
             if self.bars.disable and not task.finished and time.monotonic() >= self.last + self.seconds_between_lines:
                 self.last = time.monotonic()
-                left = "" if task.time_remaining is None else f", {timedelta(seconds=round(task.time_remaining))} left"
+                left = (
+                    ""
+                    if task.time_remaining is None
+                    else f", {timedelta(seconds=round(task.time_remaining))} left{after}"
+                )
                 self.say(f"{name}: {task.percentage:.0f}%{left}")
 
         try:
@@ -69,6 +77,7 @@ def progress(console: Console | None = None, *, seconds_between_lines: float = 1
         BarColumn(),
         TaskProgressColumn(),
         TimeRemainingColumn(),
+        TextColumn("{task.fields[after]}", markup=False),
         console=console,
         redirect_stdout=False,
         speed_estimate_period=_SECONDS_OF_PACE,

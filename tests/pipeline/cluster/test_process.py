@@ -44,12 +44,22 @@ def test_the_environment_of_libraries_is_prepared(monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux's")
 @pytest.mark.parametrize(
-    ("quota", "n_cores"), [("50000 100000\n", 1), ("350000 100000\n", 3), ("max 100000\n", 8), (None, 8)]
+    ("files", "n_cores"),
+    [
+        ({"cpu.max": "50000 100000\n"}, 1),
+        ({"cpu.max": "350000 100000\n"}, 3),
+        ({"cpu.max": "max 100000\n"}, 8),
+        ({"cpu/cpu.cfs_quota_us": "50000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 1),
+        ({"cpu/cpu.cfs_quota_us": "350000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 3),
+        ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 8),
+        ({}, 8),
+    ],
 )
-def test_cores_are_those_of_the_affinity_and_the_quota(quota, n_cores, monkeypatch, tmp_path):
-    if quota is not None:
-        (tmp_path / "cpu.max").write_text(quota)
-    monkeypatch.setattr(process, "_QUOTA", tmp_path / "cpu.max")
+def test_cores_are_those_of_the_affinity_and_the_quota(files, n_cores, monkeypatch, tmp_path):
+    (tmp_path / "cpu").mkdir()
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(process, "_CGROUP", tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(8))
     assert number_of_cores() == n_cores
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(1))

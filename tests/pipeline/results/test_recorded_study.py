@@ -183,14 +183,16 @@ def test_a_damaged_history_is_named(recorded, tmp_path):
 
 
 def test_a_study_is_read_by_its_recorded_keys(settings, recorded, opened, tmp_path):
-    """Where today's settings lead to another study's results, the recorded ones are shown."""
+    """Where today's settings lead to another study's results, the recorded ones are shown, and a warning says so."""
     root = shutil.copytree(recorded, tmp_path / "store")
     store = Store.open(root, create=False)
     other = settings.model_copy(update={"seed": 7})
     with serial_cluster() as cluster:  # what the settings below lead to
         run(other, store, cluster)
     store.write_study(replace(store.read_study("tiny"), settings=other.model_dump(mode="json")))
-    found = puddle.open_study("tiny", store=root)
+    note = "shown as it was recorded.*results of collect, train, evolve, transfer, assess, analyse;"
+    with pytest.warns(UserWarning, match=note):
+        found = puddle.open_study("tiny", store=root)
     assert found.champions() == opened.champions()
     assert found.table("histories")["fitness"] == opened.table("histories")["fitness"]
     weights = [ensemble.weights[0] for ensemble in (found.ensemble(), opened.ensemble())]
