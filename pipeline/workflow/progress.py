@@ -53,11 +53,8 @@ class Progress:
             self.bars.advance(number, work)
             if self.bars.disable and not task.finished and time.monotonic() >= self.last + self.seconds_between_lines:
                 self.last = time.monotonic()
-                left = (
-                    ""
-                    if task.time_remaining is None
-                    else f", {timedelta(seconds=round(task.time_remaining))} left{after}"
-                )
+                seconds = task.time_remaining
+                left = "" if seconds is None else f", {timedelta(seconds=round(seconds))} left{after}"
                 self.say(f"{name}: {task.percentage:.0f}%{left}")
 
         try:

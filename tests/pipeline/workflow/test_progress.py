@@ -63,7 +63,7 @@ def test_on_a_terminal_a_bar_that_is_redrawn():
 def test_without_a_terminal_lines_now_and_then():
     out = io.StringIO()
     with progress(Console(file=out), seconds_between_lines=0) as show:  # noqa: SIM117
-        with show.stage("stage 2 of 3, evolve", total=10) as advance:
+        with show.stage("stage 2 of 3, evolve", total=10, later=90.0) as advance:
             advance(2)
             time.sleep(1.0)
             advance(3)  # at 3 a second
@@ -71,5 +71,5 @@ def test_without_a_terminal_lines_now_and_then():
             advance(5)
     first, half, said, done = out.getvalue().splitlines()
     assert first == "stage 2 of 3, evolve: 20%" and done == "stage 2 of 3, evolve: 100%, took 0:00:01"
-    assert half == "stage 2 of 3, evolve: 50%, 0:00:02 left"
+    assert half == "stage 2 of 3, evolve: 50%, 0:00:02 left; then 0:01:30"
     assert said == "a word [in brackets] " + "that is long " * 20  # neither interpreted nor wrapped
