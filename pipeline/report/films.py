@@ -141,9 +141,9 @@ def _lane(
     axes.xaxis.set_major_locator(MultipleLocator(5, offset=start))
     axes.tick_params(axis="x", direction="in", length=7, pad=-19, labelsize=8, labelcolor=INK)
     axes.xaxis.set_zorder(7)
-    metres = start + np.arange(-500, 501)
-    axes.vlines(metres, 0, 0.02, color=INK, lw=0.8, zorder=7, transform=axes.get_xaxis_transform())
-    axes.vlines(metres[::5], -1e4, 1e4, color=FAINT, lw=0.8, zorder=1)  # make motion visible
+    seen = np.arange(np.floor(middle.min() - half - start), middle.max() + half - start + 1)
+    axes.vlines(start + seen, 0, 0.02, color=INK, lw=0.8, zorder=7, transform=axes.get_xaxis_transform())
+    axes.vlines(start + seen[seen % 5 == 0], -1e4, 1e4, color=FAINT, lw=0.8, zorder=1)  # make motion visible
 
     def label(at: float, _: int) -> str:
         low, high = axes.get_xlim()  # a label that is cut off would be a wrong distance
