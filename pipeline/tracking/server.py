@@ -22,7 +22,7 @@ from pipeline.tracking.database import (
 
 _VIEW = "puddle"  # name of the shared view that the list of studies opens with
 _STUDIES = "tags.`puddle.kind` = 'study'"
-_HEADLINE, _MOST_HEADLINES = "ratio_to_target.zero_shot.", 4  # more would push the presets off the screen
+_HEADLINE, _MOST_HEADLINES = "ratio_to_target.zero_shot.", 2  # more would push the presets off the screen
 
 
 def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None = None) -> None:
@@ -83,7 +83,7 @@ def _view(client: Any, experiment: str) -> str:
     studies = client.search_runs([experiment], _STUDIES, max_results=100)
     found = {name for run in studies for name in run.data.metrics if name.startswith(_HEADLINE)}
     headlines = sorted(found, reverse=True)  # the deepest networks first
-    columns = ["attributes.`Created`", "attributes.`Duration`", "tags.`preset`"]
+    columns = ["attributes.`Created`", "tags.`preset`"]
     columns += [f"metrics.`{name}`" for name in headlines[:_MOST_HEADLINES]]
     return json.dumps({"searchFilter": _STUDIES, "selectedColumns": columns})
 
