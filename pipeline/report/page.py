@@ -105,7 +105,8 @@ FIGURES: Mapping[str, PageFigure] = {
         "The fittest robot of each kind of body",
         "evolution",
         "Fitness of the best robot of each cell over all trials at the greatest depth, in the environment where the "
-        "robots evolve. Cells at the edge hold what lies beyond. The table elites.csv names every robot.",
+        "robots evolve. Cells at the edge hold what lies beyond. The viewer plays those of the target, under "
+        "Elites; the table elites.csv names every robot.",
         lambda page: transfer_figures.elites(page.rows("elites"), page.settings.evolution, page.looks),
     ),
     "prediction_accuracy": PageFigure(

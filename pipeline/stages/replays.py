@@ -14,6 +14,7 @@ from tasks.analysis.hallucination import disagreement
 from tasks.analysis.registry import Champion
 from tasks.arrays import Float64
 from tasks.design import Designs
+from tasks.evolution.map_elites import CELL, measure_bodies
 from tasks.simulation import Rollouts
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, environment_kind
 
@@ -28,6 +29,28 @@ def replays_of(study: StudyFiles) -> list[Replay]:
         others = [_at_target(study, one) for one in sorted(rest, key=lambda one: -one.zero_shot)]
         replays += [*best, *(replay for replay in others if replay)]
     return replays
+
+
+def elite_replays(study: StudyFiles) -> list[tuple[Designs, Replay]]:
+    """Return the fittest elite of each cell of the deepest archives of the target, and its replay there."""
+    depth = max(trial.depth for trial in study.spec.trials)
+    fittest: dict[tuple[int, int], Champion] = {}
+    for (environment, at, trial), population in study.populations.items():
+        if (environment, at) != (study.target, depth):
+            continue
+        for i, cell in enumerate(map(tuple, population.extra[CELL].tolist())):
+            fitness = float(population.fitness[i])
+            if cell not in fittest or fitness > fittest[cell].fitness:
+                fittest[cell] = Champion(environment, depth, trial, population.designs[i], fitness, fitness, fitness)
+    found = []
+    for cell, elite in sorted(fittest.items()):
+        if replay := _at_target(study, elite):
+            length, size = measure_bodies(elite.design)[0]
+            address = f"elite-{cell[0]}-{cell[1]}"
+            title = f"{length:.1f} m long, links of {size:.1f} m, trial {elite.trial}"
+            shown = replace(replay, title=title, robot=address, group=f"Elites, {depth:g} m", in_target=False)
+            found.append((elite.design, shown))
+    return found
 
 
 def best_replays(study: StudyFiles) -> list[Replay]:

@@ -17,7 +17,7 @@ from pipeline.stages.analyse import read_tables
 from pipeline.stages.assess import ASSESSED, AssessmentId, read_predictions
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import DataSetId, data_sets
-from pipeline.stages.replays import best_replays, replays_of
+from pipeline.stages.replays import best_replays, elite_replays, replays_of
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.stages.transfer import SCORED
 from pipeline.stages.trial_scores import SCORE, decode_scores
@@ -87,6 +87,8 @@ def _item(
         inputs = _data_inputs(settings, chain.spec.trials, upstream)
         return Item(REPORT.name, REPORT.version, chain.label, chain.spec, inputs, execution)
     inputs = _data_inputs(settings, trials_of(settings, "transfer"), upstream)
+    if settings.evolution.search == "map_elites":
+        inputs |= data_inputs(settings, trials_of(settings, "transfer"), ("evolve",), upstream)
     for trial, evolved in upstream["evolve"].done.items():
         for number, segment in enumerate(evolved):
             inputs[InputName(EVOLUTION, trial, number)] = Input(segment, (segments.CURVE,))
@@ -157,12 +159,14 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
 
     settings = spec.settings
     study = StudyFiles(data_spec(settings, trials_of(settings, "transfer")), execution, inputs)
-    page = replace(_study_page(spec, inputs, study), replays=replays_of(study))
+    elites = elite_replays(study)
+    page = replace(_study_page(spec, inputs, study), replays=[*replays_of(study), *(replay for _, replay in elites)])
     drawings = draw_all(page)
     files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables)}
     for champion in study.champions:
         address = robot_address(champion.environment, champion.depth, champion.trial)
         files[f"{address}.json"] = encode_json(design_document(champion.design))
+    files |= {f"{replay.robot}.json": encode_json(design_document(design)) for design, replay in elites}
     for champion in _proposed(page, study):
         name = f"{PROPOSED}{champion.environment}-{champion.depth:g}m".replace(".", "_")  # one dot in a file name
         files[f"{name}.json"] = encode_json(design_document(champion.design))

@@ -55,6 +55,8 @@ def test_a_study_by_another_search(search, tmp_path):
     if search == "map_elites":
         fittest = study.table("elites").group_by("trial").aggregate([("fitness", "max")])
         assert sorted(fittest["fitness_max"].to_pylist()) == sorted(study.champions()["fitness"].to_pylist())
+        cells = zip(*(study.table("elites")[name].to_pylist() for name in ("length_cell", "size_cell")), strict=True)
+        assert {f"elite-{i}-{j}.json" for i, j in cells} == {name for name in files if name.startswith("elite-")}
     work = WorkSettings(generations_per_item=4, engine="reference")
     whole = recorded(settings.model_copy(update={"work": work}), tmp_path / "whole")
     for name in ("histories", "adaptations"):
