@@ -13,6 +13,8 @@ import numpy as np
 import polars
 import pytest
 
+import puddle
+
 ROOT = Path(__file__).parents[2]
 
 STUDY = """
@@ -66,7 +68,7 @@ best = [max(history["fitness"].to_pylist()), *history["operator"].unique().to_py
 print(json.dumps([failed, reach.num_rows, reach.column_names, [*best, champions["fitness"].to_pylist()]]))
 """
 
-HONEY, OBJECTIVE, SEARCH, ANALYSIS = re.findall(
+HONEY, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS = re.findall(
     r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S
 )
 ADDED = {
@@ -93,6 +95,15 @@ CHANGED = {
     ],
     "pipeline/stages/evolve.py": [("    version=2,\n", "    version=3,\n")],
 }
+
+
+def test_cma_es_outside_a_study():
+    """Fewer generations than on the page already find a better gait than the best of its random designs."""
+    assert CMA_ES.count("range(60)") == 1
+    found = {}
+    exec(CMA_ES.replace("range(60)", "range(10)"), found)
+    best = puddle.simulate(found["best"], found["here"]).displacement
+    assert found["score"].max() > best
 
 
 @pytest.mark.timeout(600)
