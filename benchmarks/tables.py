@@ -13,7 +13,7 @@ from functools import partial
 from os.path import relpath
 from pathlib import Path
 from statistics import fmean
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.stats import ttest_ind
@@ -22,7 +22,6 @@ from pipeline.report.render import as_markdown
 from tasks.analysis import paper
 from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
 from tasks.analysis.registry import column
-from tasks.residual import ensemble_of_data_set
 from tasks.world import environment_kind
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -78,28 +77,6 @@ def depths(results: Results) -> Iterable[AtDepth]:
 
 
 @dataclass(frozen=True)
-class Accuracy:
-    """How well an ensemble predicts designs from whole runs."""
-
-    ensemble: str = column("ensemble", form="{}")
-    predictor: str = column("predicted by", form="{}")
-    r: float = column("R", form="{:.2f}")
-    slope: float = column("slope", form="{:.2f}")
-    papers_r: float = column("paper: R", form="{:.2f}")
-    papers_slope: float = column("slope", form="{:.2f}")
-
-
-def accuracy(results: Results) -> Iterable[Accuracy]:
-    """Tabulate the prediction accuracy of ensembles."""
-    predictors: Mapping[str, str] = {"mean": "μ", "mean - 1 sd": "μ − σ"}
-    figures: tuple[Literal["r"], Literal["slope"]] = ("r", "slope")
-    for row in results["accuracy"]:
-        papers = (paper.AGGREGATES[row["name"], figure][0] for figure in figures)
-        ensemble, predictor = _label(ensemble_of_data_set(row["learned_from"])), predictors[row["name"]]
-        yield Accuracy(ensemble, predictor, row["r"], row["slope"], *papers)
-
-
-@dataclass(frozen=True)
 class Beside:
     """A number of the paper beside a study's."""
 
@@ -145,21 +122,6 @@ def variants(results: Results) -> Iterable[Variant]:
             exploiters = f"{n_exploiters} of {len(champions)}"
             label = _label(arm["environment"])
             yield Variant(varied, label, predicted, true, true / best, by_data_set, exploiters)
-
-
-@dataclass(frozen=True)
-class TankTest:
-    """How many of the robots to build pass a test in the virtual tank."""
-
-    test: str = column("in 150 s, by Froude's law", form="{}")
-    papers: tuple[int, int] = column("paper", form="{0[0]} of {0[1]}")
-    proposed: tuple[int, int] = column("the proposed robot", form="{0[0]} of {0[1]}")
-    champions: tuple[int, int] = column("all 16 champions", form="{0[0]} of {0[1]}")
-
-
-def tank(results: Results) -> Iterable[TankTest]:
-    """Compare robots to build with the paper's robot in a real tank."""
-    return [TankTest(row["test"], *(tuple(row[of]) for of in ("paper", "proposed", "all"))) for row in results["tank"]]
 
 
 @dataclass(frozen=True)
@@ -212,10 +174,8 @@ def bench(results: Results) -> Iterable[Bench]:
 TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
     "shares": (Share, shares),
     "depths": (AtDepth, depths),
-    "accuracy": (Accuracy, accuracy),
     "verdicts": (Beside, verdicts),
     "variants": (Variant, variants),
-    "tank": (TankTest, tank),
     "open_choices": (Choice, open_choices),
     "sensitivity": (Choice, sensitivity),
     "bench": (Bench, bench),
