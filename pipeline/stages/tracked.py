@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from pipeline.config.settings import Settings
@@ -168,7 +169,6 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
     tracks = settings.tracks
     assert tracks is not None
     mm = 1000 * length_scale_of(tracks)
-    speed = length_scale_of(tracks) / time_scale_of(tracks)
     noise_x, noise_y, noise_angle = report["noise"]
     of_noise = "stated" if report["sd_given"] else "estimated"
     sd_vx, sd_vy, sd_omega = report["residual_sd"]
@@ -182,12 +182,8 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
     ]
     if report["n_gaps"]:
         lines.append(f"    {report['n_gaps']:,} gaps between frames; {report['n_rows_in_gaps']:,} transitions left out")
-    for what, n, at in zip(_CONTACTS, report["n_contacts"], report["contact_at"], strict=True):
-        if n:
-            lines.append(f"warning: {n:,} contacts with {what.format(f'{at * mm:.0f} mm')}; frames around are left out")
-    lines.append(
-        f"    walls and floor: bars slower than {report['slowest_contact'] * speed:.2g} m/s may touch one unnoticed"
-    )
+    if n_contacts := np.sum(report["n_contacts"]):
+        lines.append(f"warning: {n_contacts:,} contacts with walls or the floor; frames around are left out")
     fall, gravity = Fall(**_with_nan(report["fall"])), settings.physics.gravity
     if not fall.n_rows:
         lines.append("    gravity: not tested, no bar is seen above the water")
@@ -197,9 +193,6 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
             f"{gravity:g}: check tracks.length_unit, the scale of the calibration, and the frame rate"
         )
     return lines
-
-
-_CONTACTS = ("the left wall, near x = {}", "the right wall, near x = {}", "the floor, near y = {}")
 
 
 def _with_nan(values: Mapping[str, Any]) -> dict[str, Any]:

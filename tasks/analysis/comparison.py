@@ -91,18 +91,8 @@ def compare(
 def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, best: Sample) -> Comparison:
     gap, p = difference(x, y)
     bound = NEGLIGIBLE * abs(float((best if len(best) else y).values.mean()))
-    return Comparison(
-        "/".join(a),
-        "/".join(b),
-        depth,
-        mean_of(x.values),
-        mean_of(y.values),
-        gap,
-        bound,
-        p,
-        None,
-        judge(gap, -bound, bound),
-    )
+    means, verdict = (mean_of(x.values), mean_of(y.values)), judge(gap, -bound, bound)
+    return Comparison("/".join(a), "/".join(b), depth, *means, gap, bound, p, None, verdict)
 
 
 def difference(x: Sample, y: Sample) -> tuple[Estimate, float | None]:
@@ -112,8 +102,8 @@ def difference(x: Sample, y: Sample) -> tuple[Estimate, float | None]:
     gap = sum_of_means(x, replace(y, values=-y.values))
     if gap.value is None or gap.interval is None:
         return gap, None
-    error = error_of(x, y)
-    return gap, float(2 * scipy.stats.t.sf(abs(gap.value) / math.sqrt(error.variance), error.freedom))
+    variance, freedom = error_of(x, y)
+    return gap, float(2 * scipy.stats.t.sf(abs(gap.value) / math.sqrt(variance), freedom))
 
 
 def holm(p: Sequence[float | None]) -> list[float | None]:

@@ -74,11 +74,6 @@ def mean_of(values: Floats) -> Mean:
     return Mean(float(known.mean()), float(known.std(ddof=1)) if len(known) > 1 else None, len(known))
 
 
-def is_constant(values: Floats, *, resolution: float = 0.0) -> bool:
-    """Return whether values differ by no more than rounding errors or a resolution."""
-    return len(values) == 0 or bool(np.ptp(values) <= max(1e-12 * np.abs(values).max(), resolution))
-
-
 @dataclass(frozen=True, eq=False)
 class Sample:
     """Finite values of the trials of a group, and the replicate of each trial."""
@@ -99,20 +94,13 @@ def sample_of(values: Floats, replicate: Int64) -> Sample:
 # -- the hierarchy of replicates -------------------------------------------------------------------------------------
 
 
-class Error(NamedTuple):
-    """The squared standard error of a mean, or of a sum of means, and its degrees of freedom."""
-
-    variance: float
-    freedom: float
-
-
-@dataclass(frozen=True)
-class Components:
+class Components(NamedTuple):
     """The variances of a group of two or more trials; where replicates can't tell them apart, one of them is 0."""
 
     between: float  # σ_a²
     within: float  # σ_e²
-    error: Error  # of the mean over all trials
+    of_mean: float  # squared standard error of the mean over all trials
+    freedom: float  # its degrees of freedom
 
 
 def within_replicates(sample: Sample) -> tuple[float, int]:
@@ -128,27 +116,30 @@ def components(sample: Sample) -> Components:
     y, n = sample.values, len(sample)
     _, own, sizes = np.unique(sample.replicate, return_inverse=True, return_counts=True)
     n_replicates, pooled = len(sizes), float(y.var(ddof=1))
-    independent = Error(pooled / n, n - 1)
+    independent = Components(0.0, pooled, pooled / n, n - 1)
     if n_replicates == 1:
-        return Components(0.0, pooled, independent)
+        return independent
     if n_replicates == n:  # perhaps all variance is between replicates
-        return Components(pooled, 0.0, independent)
+        return independent._replace(between=pooled, within=0.0)
     msw, freedom_within = within_replicates(sample)
     msb = float(sizes @ (np.bincount(own, y) / sizes - y.mean()) ** 2) / (n_replicates - 1)
     if msb <= msw:
-        return Components(0.0, pooled, independent)
+        return independent
     k = float(sizes @ sizes) / n
     n0 = (n - k) / (n_replicates - 1)
     parts = msb * k / n0, msw * (1 - k / n0)  # their sum is N var ȳ; the second is 0 in balanced groups
     freedom = sum(parts) ** 2 / (parts[0] ** 2 / (n_replicates - 1) + parts[1] ** 2 / freedom_within)
-    return Components((msb - msw) / n0, msw, Error(sum(parts) / n, freedom))
+    return Components((msb - msw) / n0, msw, sum(parts) / n, freedom)
 
 
-def error_of(*samples: Sample) -> Error:
-    """Return the error of the sum of the means of independent groups of two or more trials, not all constant."""
-    errors = [components(sample).error for sample in samples]
-    variance = sum(error.variance for error in errors)
-    return Error(variance, variance**2 / sum(error.variance**2 / error.freedom for error in errors))
+def error_of(*samples: Sample) -> tuple[float, float]:
+    """Return the squared standard error of the sum of the means of independent groups, and its degrees of freedom.
+
+    The groups have two or more trials and are not all constant.
+    """
+    found = [components(sample) for sample in samples]
+    variance = sum(one.of_mean for one in found)
+    return variance, variance**2 / sum(one.of_mean**2 / one.freedom for one in found)
 
 
 def sum_of_means(*samples: Sample) -> Estimate:
@@ -156,11 +147,11 @@ def sum_of_means(*samples: Sample) -> Estimate:
     if min(len(sample) for sample in samples) == 0:
         return MISSING
     value = float(sum(sample.values.mean() for sample in samples))
-    constant = all(is_constant(sample.values, resolution=RESOLUTION) for sample in samples)
+    constant = max(np.ptp(sample.values) for sample in samples) <= RESOLUTION
     if constant or min(len(sample) for sample in samples) == 1:
         return Estimate(value)
-    error = error_of(*samples)
-    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, error.freedom)) * math.sqrt(error.variance)
+    variance, freedom = error_of(*samples)
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, freedom)) * math.sqrt(variance)
     return Estimate(value, value - half, value + half)
 
 

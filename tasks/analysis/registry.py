@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from tasks.world import EnvironmentName, environment_kind
@@ -192,9 +191,7 @@ class Analysis:
     cost: float = 1.0  # about how many rollouts of a champion it takes
 
 
-_registered: dict[str, Analysis] = {}
-
-ANALYSES: Mapping[str, Analysis] = MappingProxyType(_registered)
+ANALYSES: dict[str, Analysis] = {}
 """Every analysis by name. Complete once ``tasks.analysis.tables`` is imported."""
 
 
@@ -204,11 +201,11 @@ def analysis(name: str, **about: Any) -> Callable[[Callable[[StudyData], Any]], 
     Raises:
         ValueError: the name is taken.
     """
-    if name in _registered:
+    if name in ANALYSES:
         raise ValueError(f"analysis {name!r} is registered twice, expected a name of its own")
 
     def register(compute: Callable[[StudyData], Any]) -> Callable[[StudyData], Any]:
-        _registered[name] = Analysis(name=name, compute=compute, **about)
+        ANALYSES[name] = Analysis(name=name, compute=compute, **about)
         return compute
 
     return register

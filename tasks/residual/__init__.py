@@ -7,7 +7,7 @@ This package imports no torch, so that reading a settings file is fast. :mod:`ta
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.learner import BUILT_IN, Learner, LearnerSettings, ensemble_of_data_set
-from tasks.residual.observation import OBSERVATION, STATE, observe
+from tasks.residual.observation import OBSERVATION, STATE, observe_states
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.residual.throws import (
     DesignedThrows,
@@ -18,4 +18,3 @@ from tasks.residual.throws import (
     initial_states,
     simulate_throws,
 )
-from tasks.residual.validation import split_throws

@@ -21,8 +21,6 @@ BANDS = (
 )
 """Name and range low <= |v| < high of each speed band [m/s]."""
 
-LOW_SPEED = "< 0.5"  # speed band of most states of an evolved swimmer
-
 
 @dataclass(frozen=True)
 class ErrorRow:
@@ -49,24 +47,21 @@ def error_rows(predicted: Floats, true: Floats, speed: Floats) -> tuple[ErrorRow
         true: (n_rows, 6) or (n_rows, 3) true residuals.
         speed: (n_rows,) |v| at the start of the step [m/s].
     """
-    # In float64, because a bias is a small difference of large sums.
-    error = predicted.astype(np.float64) - true.astype(np.float64)
-    true = true.astype(np.float64)
-    rows = []
-    for band, low, high in BANDS:
-        inside = (low <= speed) & (speed < high)
-        for i, component in enumerate(STATE[-true.shape[1] :]):
-            rows.append(_error_row(component, band, error[inside, i], true[inside, i]))
-    return tuple(rows)
+    true = true.astype(np.float64)  # because a bias is a small difference of large sums
+    error = predicted.astype(np.float64) - true
+    within = {band: (low <= speed) & (speed < high) for band, low, high in BANDS}
+    return tuple(
+        _error_row(component, band, error[inside, i], true[inside, i])
+        for band, inside in within.items()
+        for i, component in enumerate(STATE[-true.shape[1] :])
+    )
 
 
 def _error_row(component: str, band: str, error: Floats, true: Floats) -> ErrorRow:
     n = len(error)
     if n == 0:
         return ErrorRow(component, band, 0, math.nan, math.nan, math.nan, math.nan)
-    mse = float(np.mean(error**2))
-    mean_square = float(np.mean(true**2))
-    variance = float(np.var(true))
+    mse, mean_square, variance = float(np.mean(error**2)), float(np.mean(true**2)), float(np.var(true))
     return ErrorRow(
         component=component,
         band=band,

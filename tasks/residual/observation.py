@@ -50,3 +50,10 @@ def observe(quantities: Mapping[str, Floats], inputs: Sequence[str] = OBSERVATIO
         if tuple(inputs) == WETTED:
             return wetted_inputs(quantities)
         return np.stack([np.asarray(quantities[INPUTS[name]]).astype(np.float32) for name in inputs], axis=-1)
+
+
+def observe_states(length_scale: Floats, state: Floats, inputs: Sequence[str] = OBSERVATION) -> Float32:
+    """Return (n, n_inputs) observations of links with (n,) long axes [m] and (n, 6) states in the order of STATE."""
+    _, y, angle, vx, vy, omega = state.T
+    quantities = {"length_scale": length_scale, "y": y, "cos": np.cos(angle), "sin": np.sin(angle)}
+    return observe({**quantities, "vx": vx, "vy": vy, "omega": omega}, inputs)

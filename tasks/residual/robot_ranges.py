@@ -36,12 +36,6 @@ class RobotRanges:
     n_steps: int  # steps that a throw is worth following
 
 
-def _steps_within(max_velocity: float, physics: Physics) -> int:
-    """Return the steps in which gravity accelerates a link to a speed [m/s], within limits."""
-    gained = physics.gravity * physics.time_step  # in one step [m/s]
-    return _MOST_STEPS if gained * _MOST_STEPS <= max_velocity else max(round(max_velocity / gained), 1)
-
-
 @cache
 def robot_ranges(physics: Physics) -> RobotRanges:
     """Estimate the ranges from the bounds of genes and from random designs in the base simulator.
@@ -57,10 +51,12 @@ def robot_ranges(physics: Physics) -> RobotRanges:
     speed, spin = np.hypot(vx, vy), np.abs(omega)
     max_velocity, max_omega = (float(np.quantile(values[np.isfinite(values)], QUANTILE)) for values in (speed, spin))
     length = next(gene for gene in GENES if gene.name == "length_scale")
+    gained = physics.gravity * physics.time_step  # by gravity in one step [m/s]
+    n_steps = _MOST_STEPS if gained * _MOST_STEPS <= max_velocity else max(round(max_velocity / gained), 1)
     return RobotRanges(
         length_scale=(length.low, length.high),
         y_reach=length.high,
         max_velocity=round(max_velocity, 2),
         max_omega=round(max_omega, 2),
-        n_steps=_steps_within(max_velocity, physics),
+        n_steps=n_steps,
     )

@@ -140,10 +140,9 @@ class _Windows:
         self.steps = torch.from_numpy((paths.time[at] - paths.time[throw, first][:, None]) / dt)  # after the start
         self.pose, self.sd = torch.from_numpy(paths.pose[at]), torch.from_numpy(sd)
         self.counts = torch.from_numpy((np.arange(frame.shape[1]) < number[:, None]).astype(np.float64))[:, :, None]
-        velocity = torch.from_numpy(paths.velocity[throw, first])
+        self.velocity = torch.from_numpy(paths.velocity[throw, first])
         self.range = torch.from_numpy(paths.velocity[paths.seen].std(axis=0) + 1e-6)  # prior deviation of a velocity
-        self.velocity = velocity
-        self.start = torch.cat([self.pose[:, 0], velocity], dim=1)  # (n, 6) poses and velocities, to be estimated
+        self.start = torch.cat([self.pose[:, 0], self.velocity], dim=1)  # (n, 6) poses and velocities, to be estimated
         self.unit = torch.cat([self.sd[:, 0], self.sd[:, 0] / interval], dim=1)
 
     def __len__(self) -> int:
@@ -160,30 +159,26 @@ class _Windows:
     @torch.no_grad()
     def estimate_starts(self, model: MediumModel, gravity: float, n_sweeps: int) -> Tensor:
         """Improve the starts by Levenberg and Marquardt's method; return (n, n_residuals, 6) bases of S."""
-        bases = []
-        for rows in torch.split(torch.arange(len(self)), 1024):
-            n = len(rows)
-            start, unit = self.start[rows], self.unit[rows]
-            damping = torch.full((n,), 1e-3, dtype=torch.float64)
-            for sweep in range(n_sweeps + 1):
-                moved = start.repeat(7, 1, 1).reshape(7, n, 6)
-                moved[1:] += _STEP * torch.eye(6, dtype=torch.float64)[:, None] * unit
-                r = self.residuals(model, gravity, rows.repeat(7), moved.reshape(-1, 6)).reshape(7, n, -1)
-                S = ((r[1:] - r[0]) / _STEP).permute(1, 2, 0)
-                if sweep == n_sweeps:
-                    bases.append(torch.linalg.qr(S).Q)
-                    break
-                normal = S.transpose(1, 2) @ S
-                diagonal = torch.diagonal(normal, dim1=1, dim2=2) + 1e-3
-                normal += torch.diag_embed(damping[:, None] * diagonal)
-                change = torch.linalg.solve(normal, S.transpose(1, 2) @ r[0][:, :, None])[:, :, 0]
-                tried = start - change * unit
-                left = self.residuals(model, gravity, rows, tried).square().sum(dim=1)
-                better = left < r[0].square().sum(dim=1)
-                start = torch.where(better[:, None], tried, start)
-                damping = torch.where(better, damping / 3, damping * 5)
-            self.start[rows] = start
-        return torch.cat(bases)
+        n, every = len(self), torch.arange(len(self))
+        damping = torch.full((n,), 1e-3, dtype=torch.float64)
+        for sweep in range(n_sweeps + 1):
+            moved = self.start.repeat(7, 1, 1)
+            moved[1:] += _STEP * torch.eye(6, dtype=torch.float64)[:, None] * self.unit
+            r = self.residuals(model, gravity, every.repeat(7), moved.reshape(-1, 6)).reshape(7, n, -1)
+            S = ((r[1:] - r[0]) / _STEP).permute(1, 2, 0)
+            if sweep == n_sweeps:
+                break
+            normal = S.transpose(1, 2) @ S
+            diagonal = torch.diagonal(normal, dim1=1, dim2=2) + 1e-3
+            normal += torch.diag_embed(damping[:, None] * diagonal)
+            change = torch.linalg.solve(normal, S.transpose(1, 2) @ r[0][:, :, None])[:, :, 0]
+            tried = self.start - change * self.unit
+            left = self.residuals(model, gravity, every, tried).square().sum(dim=1)
+            better = left < r[0].square().sum(dim=1)
+            self.start = torch.where(better[:, None], tried, self.start)
+            damping = torch.where(better, damping / 3, damping * 5)
+        basis: Tensor = torch.linalg.qr(S).Q
+        return basis
 
 
 def _n_steps(steps: Tensor) -> int:

@@ -17,10 +17,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float32, Float64, Int64
-from tasks.design import GENES
 from tasks.parameters import Parameters, later_choice
-from tasks.residual.observation import OBSERVATION, STATE, observe
-from tasks.residual.robot_ranges import RobotRanges, robot_ranges
+from tasks.residual.observation import OBSERVATION, STATE, observe_states
+from tasks.residual.robot_ranges import robot_ranges
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
 from tasks.world.slush import submerged_part
@@ -53,16 +52,6 @@ class Throws(Parameters):
     """Initial ω lies within ± this [rad/s]. [P] Box2D limits rotation to π/2 per step."""
     throw_speed: Literal["uniform", "log_uniform"] = "uniform"
     """Initial velocities: uniform [P], or all three of a throw times 10^U(-2, 0), for more low speeds."""
-
-    @model_validator(mode="after")
-    def _some_are_like_robots(self) -> Self:
-        gene = next(gene for gene in GENES if gene.name == "length_scale")
-        if not any(gene.low <= length <= gene.high for length in self.length_scales):
-            raise ValueError(
-                f"length_scales are {list(self.length_scales)}, and no robot has such a link: expected at least one "
-                f"from {gene.low:g} to {gene.high:g} m"
-            )
-        return self
 
     @model_validator(mode="after")
     def _ranges_are_used(self) -> Self:
@@ -131,9 +120,7 @@ class Transitions:
         """Return (n_transitions, n_inputs) observations."""
         if tuple(inputs) == OBSERVATION:
             return self.observation
-        _, y, angle, vx, vy, omega = self.state.T
-        quantities = {"length_scale": self.length_scale, "y": y, "cos": np.cos(angle), "sin": np.sin(angle)}
-        return observe({**quantities, "vx": vx, "vy": vy, "omega": omega}, inputs)
+        return observe_states(self.length_scale, self.state, inputs)
 
     def __getitem__(self, rows: Bools) -> Self:
         """Select transitions by a mask."""
@@ -165,54 +152,9 @@ def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | 
     Returns:
         n_throws starts.
     """
-    if throws.design == "robots":
-        return even_starts(throws.n_throws, physics or Physics(), rng)
-    return _uniform(throws, rng)
-
-
-def even_starts(
-    n: int,
-    physics: Physics,
-    rng: np.random.Generator,
-    *,
-    ranges: RobotRanges | None = None,
-    heights: tuple[float, float] | None = None,
-) -> Starts:
-    """Spread n starts evenly over the length, height, angle, velocities and spin of robots' links.
-
-    Args:
-        n: number of starts.
-        physics: constants of the base simulator.
-        rng: source of randomness, which scrambles the sequence.
-        ranges: narrower ones, where not every start can be thrown.
-        heights: least and greatest height of the centre [m]; by default those of the ranges.
-
-    Returns:
-        n starts.
-    """
-    from scipy.stats import qmc  # takes long to import, and settings files are read without it
-
-    ranges = ranges or robot_ranges(physics)
-    v, omega, turn = ranges.max_velocity, ranges.max_omega, 2 * np.pi
-    low, high = np.transpose(
-        [
-            ranges.length_scale,
-            heights or (-ranges.y_reach, ranges.y_reach),
-            (0, turn),
-            (-v, v),
-            (-v, v),
-            (-omega, omega),
-        ]
-    )
-    sequence = qmc.Sobol(len(low), scramble=True, rng=rng)
-    even = sequence.random_base2(max(n - 1, 0).bit_length())[:n]  # whole powers of 2 are balanced
-    length_scale, *rest = (low + (high - low) * even).T
-    return Starts(np.arange(n), length_scale, np.stack((np.zeros(n), *rest), axis=1).astype(np.float32))
-
-
-def _uniform(throws: Throws, rng: np.random.Generator) -> Starts:
-    """Draw starts uniformly within their ranges. Paper, "Dataset Collection"."""
     n = throws.n_throws
+    if throws.design == "robots":
+        return even_starts(n, physics or Physics(), rng)
     reach = np.array((throws.x_reach, throws.y_reach, np.pi, *[throws.max_velocity] * 2, throws.max_omega))
     length_scale = rng.choice(np.array(throws.length_scales), size=n)
     state = rng.uniform(-1.0, 1.0, size=(n, len(STATE))) * reach
@@ -220,6 +162,32 @@ def _uniform(throws: Throws, rng: np.random.Generator) -> Starts:
     if throws.throw_speed == "log_uniform":
         state[:, 3:] *= 10 ** rng.uniform(-2.0, 0.0, size=(n, 1))
     return Starts(np.arange(n), length_scale, state.astype(np.float32))
+
+
+def even_starts(
+    n: int, physics: Physics, rng: np.random.Generator, *, heights: tuple[float, float] | None = None
+) -> Starts:
+    """Spread n starts evenly over the length, height, angle, velocities and spin of robots' links.
+
+    Args:
+        n: number of starts.
+        physics: constants of the base simulator.
+        rng: source of randomness, which scrambles the sequence.
+        heights: least and greatest height of the centre [m]; by default those of the ranges.
+
+    Returns:
+        n starts.
+    """
+    from scipy.stats import qmc  # takes long to import, and settings files are read without it
+
+    ranges = robot_ranges(physics)
+    v, omega = (-ranges.max_velocity, ranges.max_velocity), (-ranges.max_omega, ranges.max_omega)
+    heights = heights or (-ranges.y_reach, ranges.y_reach)
+    low, high = np.transpose([ranges.length_scale, heights, (0, 2 * np.pi), v, v, omega])
+    sequence = qmc.Sobol(len(low), scramble=True, rng=rng)
+    even = sequence.random_base2(max(n - 1, 0).bit_length())[:n]  # whole powers of 2 are balanced
+    length_scale, *rest = (low + (high - low) * even).T
+    return Starts(np.arange(n), length_scale, np.stack((np.zeros(n), *rest), axis=1).astype(np.float32))
 
 
 def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physics) -> Transitions:
@@ -243,7 +211,6 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physi
 
     x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))
     length_scale = np.repeat(starts.length_scale, n_steps)
-    _, y, angle, vx, vy, omega = x.T
     return Transitions(
         throw=np.repeat(starts.throw, n_steps),
         step=np.tile(np.arange(n_steps), n),
@@ -251,9 +218,7 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physi
         state=x,
         next_in_slush=E,
         next_on_dry_land=E_dry,
-        observation=observe(
-            {"length_scale": length_scale, "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega}
-        ),
+        observation=observe_states(length_scale, x),
         residual=E - E_dry,
     )
 

@@ -30,17 +30,13 @@ class TorchDescent:
         self._training, self._dropout = training, dropout
         self._device = torch.device(training.device)
         self._rows = torch.from_numpy(rows).to(self._device)
-        self._layers = [
-            tuple(
-                torch.tensor(weights[f"{kind}_{i}"], device=self._device, requires_grad=True)
-                for kind in ("weight", "bias")
-            )
-            for i in range(len(weights) // 2)
-        ]
-        self.n_inputs = len(self._layers[0][0])
+        self._parameters = {
+            name: torch.tensor(array, device=self._device, requires_grad=True) for name, array in weights.items()
+        }
+        self.n_inputs = len(weights["weight_0"])
         self._random = torch.Generator(self._device)
         self._random.manual_seed(int(rng.integers(2**63)))
-        self._update = weight_updates([array for layer in self._layers for array in layer], training.weight_decay)
+        self._update = weight_updates(list(self._parameters.values()), training.weight_decay)
         self._n_done = 0
 
     def advance(self, n_iterations: int) -> Float64:
@@ -57,9 +53,8 @@ class TorchDescent:
         """Take one iteration on the given (n_rows, n_columns) rows; return their mean loss."""
         predicted = self._forward(batch[:, : self.n_inputs], self._dropout)
         loss: Tensor = mean_loss(self._training, predicted, batch[:, self.n_inputs :])
-        for layer in self._layers:
-            for array in layer:
-                array.grad = None
+        for parameter in self._parameters.values():
+            parameter.grad = None
         loss.backward()  # type: ignore[no-untyped-call]
         self._update(learning_rate(self._training, self._n_done))
         self._n_done += 1
@@ -67,11 +62,7 @@ class TorchDescent:
 
     def weights(self) -> dict[str, Float32]:
         """Return copies of weight_i and bias_i of each layer i."""
-        weights: dict[str, Float32] = {}
-        for i, (weight, bias) in enumerate(self._layers):
-            weights[f"weight_{i}"] = weight.detach().cpu().numpy().copy()
-            weights[f"bias_{i}"] = bias.detach().cpu().numpy().copy()
-        return weights
+        return {name: parameter.detach().cpu().numpy().copy() for name, parameter in self._parameters.items()}
 
     def predict(self, inputs: Float32) -> Float32:
         """Map (n_rows, n_inputs) standardised observations to (n_rows, n_outputs) outputs, without dropout."""
@@ -79,12 +70,14 @@ class TorchDescent:
             return self._forward(torch.from_numpy(inputs).to(self._device), 0.0).cpu().numpy()
 
     def _forward(self, rows: Tensor, dropout: float) -> Tensor:
-        *hidden_layers, (last_weight, last_bias) = self._layers
-        for weight, bias in hidden_layers:
-            rows = torch.relu(torch.addmm(bias, rows, weight))
-            if dropout > 0:
-                rows = rows * dropout_mask(rows.shape, dropout, self._random)
-        return torch.addmm(last_bias, rows, last_weight)
+        n_layers = len(self._parameters) // 2
+        for i in range(n_layers):
+            rows = torch.addmm(self._parameters[f"bias_{i}"], rows, self._parameters[f"weight_{i}"])
+            if i < n_layers - 1:
+                rows = torch.relu(rows)
+                if dropout > 0:
+                    rows = rows * dropout_mask(rows.shape, dropout, self._random)
+        return rows
 
 
 def mean_loss(training: Training, predicted: Any, targets: Any) -> Any:

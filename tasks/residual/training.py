@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import torch
 
-from tasks.arrays import Float32, Float64
+from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.residual.descent import Descent
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
@@ -18,7 +18,6 @@ from tasks.residual.network import Standardisation, initial_weights
 from tasks.residual.observation import NUMBERED, OBSERVATION, VELOCITIES
 from tasks.residual.throws import MeasuredTransitions, Transitions
 from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
-from tasks.residual.validation import split_throws
 from tasks.residual.wetted import in_link_axes, in_world_axes, symmetric_copies, training_targets
 from tasks.seeding import generator
 
@@ -50,6 +49,31 @@ class TrainedMember:
         if self.inputs != OBSERVATION:
             arrays["inputs"] = np.array([NUMBERED.index(name) for name in self.inputs], np.float32)
         return arrays
+
+
+def split_throws(throw: Int64, held_out: float, *, seed: int) -> tuple[Bools, Bools]:
+    """Return masks of the transitions to learn from and of those to validate on, the same for all members.
+
+    Whole throws are held out at random, because the steps of one resemble each other: at least one throw, and not all.
+    If the share is 0, networks learn from every throw, as in the paper, and are validated on the same throws.
+
+    Args:
+        throw: (n_transitions,) throw of each transition.
+        held_out: share of the throws to hold out.
+        seed: the study's seed.
+
+    Raises:
+        ValueError: there are fewer than two throws, and some are to be held out.
+    """
+    if held_out == 0:
+        every = np.ones(len(throw), dtype=bool)
+        return every, every
+    throws = np.unique(throw)
+    if len(throws) < 2:
+        raise ValueError(f"transitions of {len(throws)} throws, expected at least 2: one to train on, one held out")
+    n_held_out = min(max(round(held_out * len(throws)), 1), len(throws) - 1)
+    validated = np.isin(throw, generator(seed, "held out").permutation(throws)[:n_held_out])
+    return ~validated, validated
 
 
 def precision_weights(residual: Float32, residual_sd: Float32) -> Float32:

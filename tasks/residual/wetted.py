@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from tasks.arrays import Float32, Floats
-from tasks.world.medium import LinkStates, Medium
+from tasks.simulation.free_links import FreeLinks
+from tasks.world.medium import Medium
 from tasks.world.physics import Physics
 from tasks.world.slush import submerged_part
 
@@ -53,21 +54,10 @@ _DRY = 1e-6  # A_s and J below which a link counts as dry in training
 
 def acts_above_water(medium: Medium, physics: Physics) -> bool:
     """Return whether a medium changes the motion of dry links, which no network of this form can learn."""
-    a, angle = np.linspace(1.0, 3.0, 9), np.linspace(0.0, 6.0, 9)
-    same = np.ones(9)
-    mass = physics.link_density * same
-    dry = LinkStates(
-        length_scale=a,
-        mass=mass,
-        inertia=mass * (a**2 + a**-2) / 12,
-        y=2 * same,
-        cos=np.cos(angle),
-        sin=np.sin(angle),
-        vx=3 * same,
-        vy=-2 * same,
-        omega=4 * same,
-    )
-    return any(np.any(change) for change in vars(medium.velocity_change(dry, physics)).values())
+    links = FreeLinks(np.linspace(1.0, 3.0, 9), physics)
+    dry = np.tile(np.array([0.0, 2.0, 0.0, 3.0, -2.0, 4.0], np.float32), (9, 1))
+    dry[:, 2] = np.linspace(0.0, 6.0, 9)
+    return bool((links.step(dry, medium) != links.step(dry, None)).any())
 
 
 def wetted_inputs(quantities: Mapping[str, Floats]) -> Float32:

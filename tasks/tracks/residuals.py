@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tasks.arrays import Bools, Float64
-from tasks.residual import MeasuredTransitions, observe, robot_ranges, simulate_throws
+from tasks.residual import MeasuredTransitions, observe_states, robot_ranges, simulate_throws
 from tasks.residual.throws import Starts, even_starts
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
@@ -16,7 +16,7 @@ from tasks.tracks.conventions import Tracks
 from tasks.tracks.free_fall import Fall, check_falls
 from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, length_scale_of, paths_of
-from tasks.tracks.tank_contacts import Contacts, contacts, n_contacts, slowest_contact
+from tasks.tracks.tank_contacts import around, contacts, n_contacts
 from tasks.world import Medium, Physics
 
 _N_FURTHER = 256  # throws in the fitted medium
@@ -35,10 +35,8 @@ class TrackReport:
     noise: tuple[float, float, float]  # deviations of measurements of x, y [m] and the angle [rad]
     sd_given: bool  # whether the file states them; they are estimated otherwise
     residual_sd: tuple[float, float, float]  # median uncertainty of the velocity change of a step [m/s, m/s, rad/s]
-    n_contacts: tuple[int, int, int]  # with the left wall, the right wall and the floor
-    contact_at: tuple[float, float, float]  # median x, x and y of bars there [m]; NaN where there is none
+    n_contacts: int  # with the walls and the floor
     n_rows_at_contacts: int  # transitions left out
-    slowest_contact: float  # that is noticed [m/s]
     fall: Fall
 
 
@@ -49,15 +47,10 @@ class _Estimate:
     paths: Paths
     long_axes: Float64  # (n_throws,) of their bars [m]
     time: Float64  # (n_throws, n_steps + 1) of the simulation's steps [s]; padding repeats the last
-    smoothed: list[Smoothed]  # x, y and the angle
-    position_sd: tuple[float, float]  # of measurements of x and y [m]
-    contacts: Contacts
-    n_gaps: int
-    n_rows_in_gaps: int
-    n_rows_at_contacts: int
+    begins: Bools  # (n_throws, n_frames) frames that do not follow from those before: the first, after gaps, at walls
     usable: Bools  # (n_throws, n_steps) steps outside gaps and away from contacts
     transitions: MeasuredTransitions
-    fall: Fall
+    report: TrackReport
 
 
 def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> Paths:
@@ -98,31 +91,12 @@ def residual_transitions(
         TrackError: something is wrong with a throw or a bar, or with how bars fall.
     """
     first = _estimate(table, bars, tracks, physics)
-    paths, turned, smoothed, transitions = first.paths, first.contacts, first.smoothed, first.transitions
-    interval = _typical_interval(paths)
-    medium: Medium | None = None
-    if tracks.fit == "rollouts":
-        medium, smoothed, in_range = _rolled_out(first, physics, n_iterations)
-        transitions = _transitions(paths, first.long_axes, smoothed, physics, first.usable & in_range)
-    typical = np.median(transitions.residual_sd[:, 3:], axis=0)
-    if medium is not None:
-        transitions = MeasuredTransitions.concatenate([transitions, _thrown_further(medium, transitions, physics)])
-    report = TrackReport(
-        n_throws=len(paths.throw),
-        n_frames=int(paths.seen.sum()),
-        frame_interval=interval,
-        n_gaps=first.n_gaps,
-        n_rows_in_gaps=first.n_rows_in_gaps,
-        noise=(smoothed[0].noise, smoothed[1].noise, smoothed[2].noise),
-        sd_given=paths.sd is not None,
-        residual_sd=(float(typical[0]), float(typical[1]), float(typical[2])),
-        n_contacts=(n_contacts(turned.left), n_contacts(turned.right), n_contacts(turned.floor)),
-        contact_at=(_where(paths, turned.left, 0), _where(paths, turned.right, 0), _where(paths, turned.floor, 1)),
-        n_rows_at_contacts=first.n_rows_at_contacts,
-        slowest_contact=slowest_contact(interval, first.position_sd),
-        fall=first.fall,
-    )
-    return transitions, report
+    if tracks.fit == "steps":
+        return first.transitions, first.report
+    medium, smoothed, in_range = _rolled_out(first, physics, n_iterations)
+    tracked = _transitions(first.paths, first.long_axes, smoothed, physics, first.usable & in_range)
+    report = replace(first.report, noise=_noise(smoothed), residual_sd=_typical_sd(tracked))
+    return MeasuredTransitions.concatenate([tracked, _thrown_further(medium, tracked, physics)]), report
 
 
 def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> _Estimate:
@@ -139,32 +113,34 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
     step = np.minimum(np.arange(n_steps.max() + 1), n_steps[:, None])
     time = np.minimum(step * dt, paths.time[:, -1:])
     smoothed = _smoothed(paths, paths.pose, time)
-    position_sd = smoothed[0].noise, smoothed[1].noise
-    turned = contacts(paths, long_axes, position_sd)
+    at = contacts(paths, long_axes, _noise(smoothed)[:2])
 
     real = np.arange(n_steps.max()) < n_steps[:, None]
     gap, last = _gaps(paths), paths.time.shape[1] - 1
     in_gap = _inside(paths, [(throw, frame, frame + 1) for throw, frame in np.argwhere(gap)], time)
-    around = [(throw, max(frame - 1, 0), min(frame + 1, last)) for throw, frame in np.argwhere(turned.around)]
-    at_contact = _inside(paths, around, time)
+    near = [(throw, max(frame - 1, 0), min(frame + 1, last)) for throw, frame in np.argwhere(around(at))]
+    at_contact = _inside(paths, near, time)
     usable = real & ~in_gap & ~at_contact
     if not usable.any():
         raise TrackError("every step is in a gap between frames or at a wall or the floor: film throws in open water")
     transitions = _transitions(paths, long_axes, smoothed, physics, usable)
-    return _Estimate(
-        paths,
-        long_axes,
-        time,
-        smoothed,
-        position_sd,
-        turned,
+    report = TrackReport(
+        n_throws=len(paths.throw),
+        n_frames=int(paths.seen.sum()),
+        frame_interval=float(np.median(np.diff(paths.time, axis=1)[paths.seen[:, 1:]])),
         n_gaps=int(gap.sum()),
         n_rows_in_gaps=int((real & in_gap).sum()),
+        noise=_noise(smoothed),
+        sd_given=paths.sd is not None,
+        residual_sd=_typical_sd(transitions),
+        n_contacts=n_contacts(at),
         n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
-        usable=usable,
-        transitions=transitions,
         fall=check_falls(transitions, physics.gravity, dt),
     )
+    begins = at.copy()
+    begins[:, 0] = True
+    begins[:, 1:] |= gap
+    return _Estimate(paths, long_axes, time, begins & paths.seen, usable, transitions, report)
 
 
 def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
@@ -183,17 +159,13 @@ def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[
 
     paths = first.paths
     at_frames = _smoothed(paths, paths.pose, paths.time)
-    noise = np.array([coordinate.noise for coordinate in at_frames])
-    begins = first.contacts.any
-    begins[:, 0] = True
-    begins[:, 1:] |= _gaps(paths)
     seen = SeenPaths(
         time=paths.time,
         pose=paths.pose,
-        sd=np.broadcast_to(noise, paths.pose.shape) if paths.sd is None else paths.sd,
+        sd=np.broadcast_to(_noise(at_frames), paths.pose.shape) if paths.sd is None else paths.sd,
         velocity=np.stack([coordinate.mean[..., 1] for coordinate in at_frames], axis=-1),
         seen=paths.seen,
-        begins=begins & paths.seen,
+        begins=first.begins,
         length_scale=first.long_axes,
     )
     model = fit_medium(seen, physics, n_iterations=n_iterations)
@@ -223,8 +195,13 @@ def _thrown_further(medium: Medium, tracked: MeasuredTransitions, physics: Physi
     return MeasuredTransitions(**further.columns(), residual_sd=np.tile(sd, (len(further), 1)))
 
 
-def _typical_interval(paths: Paths) -> float:
-    return float(np.median(np.diff(paths.time, axis=1)[paths.seen[:, 1:]]))
+def _noise(smoothed: list[Smoothed]) -> tuple[float, float, float]:
+    return smoothed[0].noise, smoothed[1].noise, smoothed[2].noise
+
+
+def _typical_sd(transitions: MeasuredTransitions) -> tuple[float, float, float]:
+    vx, vy, omega = np.median(transitions.residual_sd[:, 3:], axis=0).tolist()
+    return vx, vy, omega
 
 
 def _gaps(paths: Paths) -> Bools:
@@ -239,10 +216,6 @@ def _inside(paths: Paths, spans: list[tuple[int, int, int]], time: Float64) -> B
     for throw, begin, end in spans:
         inside[throw] |= (time[throw, 1:] > paths.time[throw, begin]) & (time[throw, :-1] < paths.time[throw, end])
     return inside
-
-
-def _where(paths: Paths, frames: Bools, axis: int) -> float:
-    return float(np.median(paths.pose[..., axis][frames])) if frames.any() else float("nan")
 
 
 def _transitions(
@@ -260,8 +233,6 @@ def _transitions(
     reached = np.concatenate([state[:, :3] + dt * velocity, velocity], axis=1)
     variance = np.stack([_variance_of_change(coordinate) for coordinate in smoothed], axis=-1)[chosen]
     sd = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-    _, y, angle, vx, vy, omega = state.T
-    quantities = {"length_scale": long_axes[throw], "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega}
     return MeasuredTransitions(
         throw=paths.throw[throw],
         step=step,
@@ -269,7 +240,7 @@ def _transitions(
         state=state,
         next_in_slush=reached,
         next_on_dry_land=dry,
-        observation=observe(quantities),
+        observation=observe_states(long_axes[throw], state),
         residual=reached - dry,
         residual_sd=np.concatenate([dt * sd, sd], axis=1),
     )

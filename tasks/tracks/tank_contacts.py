@@ -5,8 +5,6 @@ A bar that hits a wall bounces or stops, and one on the floor may rest. Rows aro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tasks.arrays import Bools, Float64
@@ -21,47 +19,31 @@ _MOST_STOPS_ELSEWHERE = 0.1  # share of the fast bars elsewhere that drag stops 
 _REST_TIME, _REST_WAY = 1.0, 0.02  # a bar rests that moves by less in this time [s], [m]; buoyancy lifts it by more
 
 
-@dataclass(frozen=True, eq=False)
-class Contacts:
-    """Frames at which bars touch a wall or the floor; each (n_throws, n_frames)."""
+def contacts(paths: Paths, long_axes: Float64, position_sd: tuple[float, float]) -> Bools:
+    """Find the (n_throws, n_frames) frames where bars bounce off a wall or the floor, stop at a wall, or rest.
 
-    left: Bools
-    right: Bools
-    floor: Bools
+    ``long_axes`` are those of the (n_throws,) bars, ``position_sd`` the deviations of measurements of x and y; all [m].
+    """
+    (x, y, _), (x_sd, y_sd) = np.moveaxis(paths.pose, -1, 0), position_sd
+    reach_x, reach_y = _reach(paths, long_axes)
+    at = _bounces(paths, -y, y_sd) | _rests(paths, reach_y, max(position_sd))
+    for outward in (-x, x):
+        at |= _bounces(paths, outward, x_sd) | _stops(paths, outward, reach_x, x_sd)
+    return at
 
-    @property
-    def any(self) -> Bools:
-        """Frames at a contact."""
-        return self.left | self.right | self.floor
 
-    @property
-    def around(self) -> Bools:
-        """Frames at a contact and beside it."""
-        at = self.any
-        near = at.copy()
-        for shift in range(1, _FRAMES_AROUND + 1):
-            near[:, shift:] |= at[:, :-shift]
-            near[:, :-shift] |= at[:, shift:]
-        return near
+def around(at: Bools) -> Bools:
+    """Return the frames at contacts and beside them."""
+    near = at.copy()
+    for shift in range(1, _FRAMES_AROUND + 1):
+        near[:, shift:] |= at[:, :-shift]
+        near[:, :-shift] |= at[:, shift:]
+    return near
 
 
 def n_contacts(at: Bools) -> int:
     """Return the number of contacts in (n_throws, n_frames) frames, each of which may last for several."""
     return int(np.count_nonzero(at[:, 1:] & ~at[:, :-1]) + np.count_nonzero(at[:, 0]))
-
-
-def contacts(paths: Paths, long_axes: Float64, position_sd: tuple[float, float]) -> Contacts:
-    """Find the frames where bars bounce off a wall or the floor, stop at a wall, or rest on the floor.
-
-    ``long_axes`` are those of the (n_throws,) bars, ``position_sd`` the deviations of measurements of x and y; all [m].
-    """
-    x_sd, y_sd = position_sd
-    left, right = _bounces(paths, 0, x_sd)
-    floor, _ = _bounces(paths, 1, y_sd)
-    reach_x, reach_y = _reach(paths, long_axes)
-    left |= _stops(paths, -paths.pose[..., 0], reach_x, x_sd)
-    right |= _stops(paths, paths.pose[..., 0], reach_x, x_sd)
-    return Contacts(left, right, floor | _rests(paths, reach_y, max(position_sd)))
 
 
 def _reach(paths: Paths, long_axes: Float64) -> tuple[Float64, Float64]:
@@ -71,30 +53,22 @@ def _reach(paths: Paths, long_axes: Float64) -> tuple[Float64, Float64]:
     return (length * sin + cos / length) / 2, (length * cos + sin / length) / 2
 
 
-def slowest_contact(frame_interval: float, position_sd: tuple[float, float]) -> float:
-    """Return the speed below which a bar may touch a wall or the floor unnoticed [m/s]."""
-    return max(SLOWEST_CONTACT, _SD_OF_CONTACT * float(np.sqrt(2)) * max(position_sd) / frame_interval)
-
-
 def _velocity(paths: Paths, position: Float64, sd: float) -> tuple[Float64, Float64]:
     """Return the velocity in each interval between frames, and the least speed that counts as fast there [m/s]."""
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), np.inf)
-    return np.diff(position, axis=1) / interval, np.maximum(
-        SLOWEST_CONTACT, _SD_OF_CONTACT * np.sqrt(2) * sd / interval
-    )
+    least = np.maximum(SLOWEST_CONTACT, _SD_OF_CONTACT * np.sqrt(2) * sd / interval)
+    return np.diff(position, axis=1) / interval, least
 
 
-def _bounces(paths: Paths, axis: int, sd: float) -> tuple[Bools, Bools]:
-    """Return the frames at which a coordinate turns upward, and downward, at once.
+def _bounces(paths: Paths, outward: Float64, sd: float) -> Bools:
+    """Return the frames at which bars turn back at once, given their positions outward [m].
 
     Drag never reverses a velocity, and buoyancy does so slowly.
     """
-    velocity, least = _velocity(paths, paths.pose[..., axis], sd)
-    fast = np.abs(velocity) > least
-    up, down = np.zeros((2, *paths.time.shape), dtype=bool)
-    before, after, both = velocity[:, :-1], velocity[:, 1:], fast[:, :-1] & fast[:, 1:]
-    up[:, 1:-1], down[:, 1:-1] = both & (before < 0) & (after > 0), both & (before > 0) & (after < 0)
-    return up, down
+    velocity, least = _velocity(paths, outward, sd)
+    at = np.zeros(paths.time.shape, dtype=bool)
+    at[:, 1:-1] = (velocity > least)[:, :-1] & (velocity < -least)[:, 1:]
+    return at
 
 
 def _stops(paths: Paths, outward: Float64, reach: Float64, sd: float) -> Bools:

@@ -114,7 +114,7 @@ def _ratios(trials: Sequence[ScoredTrial], rng: Generator) -> Iterator[PaperRow]
 def _widened(*samples: Sample) -> float:
     """Return the factor by which the paper's own trials, if they vary like these, widen the interval of their sum."""
     of_paper = sum(found.between + found.within / N_TRIALS for found in map(components, samples))
-    return math.sqrt(1 + of_paper / error_of(*samples).variance)
+    return math.sqrt(1 + of_paper / error_of(*samples)[0])
 
 
 def _variation(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:

@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, is_constant, of_means
+from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, of_means
 from tasks.analysis.registry import Assessed, StudyData, analysis, column
 from tasks.arrays import Float64, Int64
 from tasks.evolution import Deviation, penalised_mean
@@ -88,13 +88,14 @@ def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.rando
     x, y = np.stack(list(predictors.values())), assessed.true
     used = np.isfinite(y) & np.isfinite(x).all(axis=0)
     found: Sequence[Estimate] = [MISSING] * 3 * len(x)
+    has_r = False
     if used.sum() >= _MIN_DESIGNS:
+        has_r = bool(np.ptp(y[used]) > RESOLUTION)
         _, first, trial = np.unique(np.array(assessed.trial)[used], return_index=True, return_inverse=True)
         rows, figures = _moments(x[:, used], y[used])
         sums = np.zeros((len(first), rows.shape[1]))
         np.add.at(sums, trial, rows)
         found = _estimated(figures, sums, assessed.replicate[used][first], rng)
-    has_r = not is_constant(y[used], resolution=RESOLUTION)
     of_each = {name: found[3 * i : 3 * i + 3] for i, name in enumerate(predictors)}
     return [Regression(group, name, r if has_r else MISSING, *line) for name, (r, *line) in of_each.items()]
 

@@ -31,8 +31,8 @@ def test_the_interval_holds_0_where_scipys_test_finds_nothing():
 def test_nested_trials_have_errors_with_the_variance_between_replicates():
     x, y = sample([1, 2, 3, 5, 6, 7], [0, 0, 0, 1, 1, 1]), sample([1, 2, 3, 4])
     gap, p = difference(x, y)
-    error = error_of(x, y)
-    assert p == pytest.approx(2 * stats.t.sf(1.5 / math.sqrt(error.variance), error.freedom))
+    variance, freedom = error_of(x, y)
+    assert p == pytest.approx(2 * stats.t.sf(1.5 / math.sqrt(variance), freedom))
     assert gap.value == 1.5 and (gap.low < 0 < gap.high) == (p > 0.05)
 
 

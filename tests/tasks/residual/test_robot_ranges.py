@@ -52,9 +52,3 @@ def test_ranges_that_the_design_ignores_are_refused(changed):
     (name,) = changed
     with pytest.raises(ValidationError, match=f"design is robots, which ignores {name}: expected the design paper"):
         Throws(design="robots", **changed)
-
-
-def test_throws_without_a_link_of_a_robot_are_refused():
-    assert Throws(length_scales=(0.5, 2.0)).length_scales == (0.5, 2.0)
-    with pytest.raises(ValidationError, match=r"length_scales are \[5.0\], and no robot has such a link"):
-        Throws(length_scales=(5.0,))

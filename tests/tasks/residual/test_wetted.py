@@ -9,8 +9,7 @@ from pydantic import ValidationError
 from tasks.residual import Architecture, DesignedThrows, MeasuredTransitions, Training, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.torch_descent import mean_loss
-from tasks.residual.training import train_member
-from tasks.residual.validation import split_throws
+from tasks.residual.training import split_throws, train_member
 from tasks.residual.wetted import (
     acts_above_water,
     in_link_axes,

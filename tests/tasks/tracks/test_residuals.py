@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tank import SCALE, filmed
 
-from tasks.residual import observe
+from tasks.residual import observe_states
 from tasks.simulation.free_links import FreeLinks
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable, residual_transitions
 from tasks.tracks.residuals import check_throws
@@ -27,7 +27,7 @@ def errors(found, *, slower_than: float) -> np.ndarray:
 def test_slow_bars_show_the_mediums_residual() -> None:
     found, report = residual_transitions(*filmed(8, rate=240.0, seconds=0.5), PLAIN, PHYSICS)
     assert (errors(found, slower_than=2.0) < (0.2, 0.1, 0.25)).all()
-    assert report.n_contacts == (0, 0, 0) and report.n_gaps == 0 and not report.sd_given
+    assert report.n_contacts == 0 and report.n_gaps == 0 and not report.sd_given
     assert report.fall.acceleration == pytest.approx(-9.8, abs=0.1)
 
 
@@ -61,9 +61,7 @@ def test_rows_are_those_of_the_base_simulator() -> None:
     dry = FreeLinks(found.length_scale, PHYSICS).step(found.state, None)
     np.testing.assert_array_equal(found.next_on_dry_land, dry)
     np.testing.assert_array_equal(found.residual, found.next_in_slush - found.next_on_dry_land)
-    _, y, angle, vx, vy, omega = found.state.T
-    quantities = {"length_scale": found.length_scale, "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega}
-    np.testing.assert_array_equal(found.observation, observe(quantities))
+    np.testing.assert_array_equal(found.observation, observe_states(found.length_scale, found.state))
     step = np.float32(PHYSICS.time_step)
     moved = found.next_in_slush[:, :3] - found.state[:, :3]
     np.testing.assert_allclose(moved, step * found.next_in_slush[:, 3:], atol=1e-5)
@@ -96,7 +94,7 @@ def test_rows_at_contacts_are_left_out_and_counted() -> None:
     table = TrackTable(throw, np.tile(time, 4), x.ravel(), np.tile(9 - 4.9 * time**2, 4), np.zeros(4 * 17))
     bars = Bars(np.arange(4), np.ones(4), np.ones(4), np.ones(4))
     found, report = residual_transitions(table, bars, Tracks(file="tracks.csv", scaling="none", fit="steps"), PHYSICS)
-    assert report.n_contacts == (0, 1, 0) and report.contact_at[1] == 0.5
+    assert report.n_contacts == 1
     # Steps of 1/60 s that touch the three frames on each side of the contact: 6 intervals of 1/16 s, and both ends.
     assert report.n_rows_at_contacts == pytest.approx(6 / 16 * 60, abs=2)
     assert len(found) == 4 * 60 - report.n_rows_at_contacts

@@ -79,7 +79,7 @@ def test_intervals_include_the_variance_between_replicates_which_counts_in_full_
     part, whole = (sample(study.trials, (arm, "zero_shot"), 9.0) for arm in ("residual_slush", "true_slush"))
     assert row.value == ratio(part, whole, rng=np.random.default_rng(0))
     found, r = components(part), part.values.mean() / whole.values.mean()
-    own, of_paper = found.error.variance + r**2 / 10, found.between + found.within / 10 + r**2 / 10
+    own, of_paper = found.of_mean + r**2 / 10, found.between + found.within / 10 + r**2 / 10
     half = math.sqrt(1 + of_paper / own) * (row.value.high - row.value.low) / 2
     low, high = (100 * (r - 0.67 + side * half) for side in (-1, 1))
     assert f"({low:z.0f}% to {high:z.0f}%)" in row.decides
