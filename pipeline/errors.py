@@ -10,9 +10,9 @@ class PuddleError(Exception):
 
 
 class DamagedArtifact(PuddleError):  # noqa: N818 (a state, not a fault)
-    """Something in the store is not what was committed.
+    """A file is not what puddle wrote.
 
-    If the damage is in an item, and (stage, key) is discarded, the item can be computed again.
+    If it is of an item of the store, and (stage, key) is discarded, the item can be computed again.
     """
 
     def __init__(self, message: str, *, stage: str | None = None, key: str | None = None) -> None:

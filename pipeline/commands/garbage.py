@@ -20,7 +20,7 @@ def find_garbage(store: Store) -> list[tuple[str, str]]:
     The caller holds the whole store.
     """
     needed: set[tuple[str, str]] = set()
-    for name in (*store.studies(), *store.studies(recorded=False)):
+    for name in store.studies():
         try:
             needed.update(_needs(store, name))
         except PuddleError as error:
@@ -35,7 +35,7 @@ def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
     """Yield stage and key of every item that a study needs."""
     record = store.read_study(name)
     if record is None:
-        raise PuddleError(f"{store.study_path(name) / 'study.json'}: expected a study's record, found no file.")
+        raise PuddleError(f"{store.record_path(name)}: expected a study's record, found no file.")
     for item in record.items:
         if store.manifest(item.stage, item.key) is None:
             path = store.manifest_path(item.stage, item.key)

@@ -19,7 +19,7 @@ from pipeline.report.run_page import render_run, verdict
 from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk
 from pipeline.store.design_file import read_design
-from pipeline.store.encoding import check_format, decode_json
+from pipeline.store.encoding import decode_document
 from pipeline.store.track_file import read_track_columns, track_table
 from pipeline.vision.markers_file import Markers
 from pipeline.vision.track_video import TrackOptions, follow
@@ -88,12 +88,11 @@ def read_kit(folder: Path) -> BuiltRobot:
     """Read a kit's folder. Raises PuddleError if it is none."""
     path = folder / KIT_MANIFEST
     try:
-        document = decode_json(path.read_bytes(), str(path))
+        document = decode_document(path.read_bytes(), schema=KIT.schema, version=KIT.version, source=str(path))
     except OSError as error:
         raise PuddleError(
             f"{folder}: expected a kit of `puddle fabricate`, found no {path.name}: {error.strerror}"
         ) from None
-    check_format(document, schema=KIT.schema, version=KIT.version, source=str(path))
     simulated: Mapping[str, Any] = document["simulated"]
     choices = FabricationSettings.model_validate(document["settings"])
     rollout = RolloutSettings.model_validate(simulated["rollout"])

@@ -162,7 +162,7 @@ def list_studies(store: Store) -> Iterator[ListedStudy]:
             yield ListedStudy(name, problem=str(problem))
             continue
         page = store.export_path(name) / PAGE
-        changed = datetime.datetime.fromtimestamp((store.study_path(name) / "study.json").stat().st_mtime).astimezone()
+        changed = datetime.datetime.fromtimestamp(store.record_path(name).stat().st_mtime).astimezone()
         yield ListedStudy(
             name,
             record.source,
@@ -171,8 +171,6 @@ def list_studies(store: Store) -> Iterator[ListedStudy]:
             changed.isoformat(sep=" ", timespec="seconds"),
             page.as_uri() if page.is_file() else None,
         )
-    for name in store.studies(recorded=False):
-        yield ListedStudy(name, problem=f"{store.study_path(name)} has no record, study.json")
 
 
 def describe(one: ListedStudy) -> Iterator[str]:

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 
 from pipeline.config.loading import load
 from pipeline.errors import PuddleError
-from pipeline.store.encoding import Json, check_format, decode_json, encode_json
+from pipeline.store.encoding import Json, decode_document, encode_document
 from pipeline.store.owned_folder import FolderKind
 from tasks.design import N_LINKS
 from tasks.fabrication.calibration import Calibration, ServoCalibration
@@ -55,17 +55,14 @@ def csv_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
 def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
     """Encode a timeline, with its pulses under a calibration, as JSON. Raises TimelineError beyond its limits."""
     sent = np.round(pulses(timeline, calibration), _PULSE_DIGITS)
-    return encode_json(
-        {
-            "schema": _SCHEMA,
-            "version": _VERSION,
-            "frames_per_second": FRAME_RATE_HZ,
-            "joints": list(timeline.joints),
-            "angle": np.round(timeline.angle.T, _RADIAN_DIGITS).tolist(),
-            "channels": [servo.channel for servo in calibration.servos],
-            "pulse_us": sent.T.tolist(),
-        }
-    )
+    document = {
+        "frames_per_second": FRAME_RATE_HZ,
+        "joints": list(timeline.joints),
+        "angle": np.round(timeline.angle.T, _RADIAN_DIGITS).tolist(),
+        "channels": [servo.channel for servo in calibration.servos],
+        "pulse_us": sent.T.tolist(),
+    }
+    return encode_document(document, schema=_SCHEMA, version=_VERSION)
 
 
 def read_timeline(path: Path) -> Timeline:
@@ -77,8 +74,7 @@ def read_timeline(path: Path) -> Timeline:
         data = path.read_bytes()
     except OSError as error:
         raise PuddleError(f"{path}: can't read the timeline: {error.strerror}") from None
-    document = decode_json(data, str(path))
-    check_format(document, schema=_SCHEMA, version=_VERSION, source=str(path))
+    document = decode_document(data, schema=_SCHEMA, version=_VERSION, source=str(path))
     try:
         read = _TimelineDocument.model_validate(document)
         return Timeline(joints=read.joints, angle=np.array(read.angle).T)

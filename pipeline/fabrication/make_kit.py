@@ -11,8 +11,8 @@ from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_files import KIT, calibration_yaml, timeline_json, write_folder
 from pipeline.fabrication.source import DesignSource
 from pipeline.stages import environments
-from pipeline.store.design_file import design_document
-from pipeline.store.encoding import Json, encode_json
+from pipeline.store.design_file import design_json
+from pipeline.store.encoding import Json
 from tasks.design import DesignError
 from tasks.fabrication.kit_settings import FabricationSettings
 
@@ -50,7 +50,7 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
     n_faults = sum(finding.severity == "fault" for finding in findings)
     files = exports(kit, title=source.name, n_faults=n_faults)
     files |= {guide.name: guide.read_bytes() for guide in _GUIDES.iterdir()}
-    files["design.json"] = encode_json(design_document(source.design))
+    files["design.json"] = design_json(source.design)
     if bench.calibration is not None:
         heading = f"Servos of {source.name}, from the data sheet of a {kit.servo.name}. Measure yours (servo.md)."
         files["calibration.yaml"] = calibration_yaml(bench.calibration, heading)

@@ -36,7 +36,7 @@ from pipeline.stages.report import REPORT, read_page
 from pipeline.stages.transfer import ADAPTED, CHAMPION
 from pipeline.store import disk
 from pipeline.store.design_file import design_from
-from pipeline.store.encoding import Json, decode_json
+from pipeline.store.encoding import Json
 from pipeline.store.owned_folder import FolderKind, NewFolder
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import trials_of
@@ -114,7 +114,7 @@ def _write_champions(study: Study, folder: NewFolder, mjcf: bool) -> int:
                 content = study.store.read(scored, file)
                 folder.write(f"{name}.json", content)
                 if mjcf:
-                    design = design_from(decode_json(content, name), name)
+                    design = design_from(content, name)
                     folder.write(f"{name}.xml", as_mjcf(design, trial.depth, study.settings.physics).encode())
                 n_champions += file == CHAMPION
     return n_champions

@@ -20,7 +20,6 @@ from pipeline.stages.data_sets import data_sets, ensemble_ids, networks_of
 from pipeline.stages.transfer import ADAPTED, CHAMPION, read_trials
 from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
-from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import Survey, survey
 from pipeline.workflow.identity import TrialId, trials_of
@@ -184,8 +183,8 @@ class Study:
             scored = self.upstream["transfer"].done[TrialId("transfer", environment, depth, trial)][-1]
             if ADAPTED not in scored.files:
                 raise PuddleError(f"{where} has no adapted champion: expected it in transfer.adapted_environments")
-            return design_from(decode_json(self.store.read(scored, ADAPTED), where), where)
-        return design_from(decode_json(found["design_json"][0].as_py().encode(), where), where)
+            return design_from(self.store.read(scored, ADAPTED), where)
+        return design_from(found["design_json"][0].as_py().encode(), where)
 
     def simulate(
         self,

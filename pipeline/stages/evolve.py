@@ -8,8 +8,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.data_sets import networks_of
 from pipeline.stages.segments import SegmentSpec, TrialSpec
-from pipeline.store.design_file import design_document
-from pipeline.store.encoding import encode_json
+from pipeline.store.design_file import design_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
@@ -83,7 +82,7 @@ def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) ->
     metrics = {"champion_fitness": float(curve["best_fitness"][-1]), _DIVERGED: float(curve["n_diverged"].sum())}
     files = {segments.POPULATION: store.read(parts[-1], segments.POPULATION)}
     champion = segments.champion_of(segments.population_of(files))
-    artifacts = {} if champion is None else {"champion.json": encode_json(design_document(champion))}
+    artifacts = {} if champion is None else {"champion.json": design_json(champion)}
     return TrialSummary(trial, metrics, artifacts)
 
 

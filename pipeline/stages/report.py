@@ -21,7 +21,7 @@ from pipeline.stages.replays import best_replays, elite_replays, replays_of
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.stages.transfer import SCORED
 from pipeline.stages.trial_scores import SCORE, decode_scores
-from pipeline.store.design_file import design_document
+from pipeline.store.design_file import design_json
 from pipeline.store.encoding import encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.provenance import environment as provenance
@@ -165,11 +165,11 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables)}
     for champion in study.champions:
         address = robot_address(champion.environment, champion.depth, champion.trial)
-        files[f"{address}.json"] = encode_json(design_document(champion.design))
-    files |= {f"{replay.robot}.json": encode_json(design_document(design)) for design, replay in elites}
+        files[f"{address}.json"] = design_json(champion.design)
+    files |= {f"{replay.robot}.json": design_json(design) for design, replay in elites}
     for champion in _proposed(page, study):
         name = f"{PROPOSED}{champion.environment}-{champion.depth:g}m".replace(".", "_")  # one dot in a file name
-        files[f"{name}.json"] = encode_json(design_document(champion.design))
+        files[f"{name}.json"] = design_json(champion.design)
     for one in page.replays:
         if one.in_target and one.robot:
             words = f"{one.seen_in}, {one.depth:g} m deep: {one.displacement:z.1f} m in {one.duration:.0f} s"

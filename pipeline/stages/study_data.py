@@ -23,7 +23,6 @@ from pipeline.stages.segments import POPULATION, population_of
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.design_file import design_from
-from pipeline.store.encoding import decode_json
 from pipeline.workflow.identity import OMIT_DEFAULT, InputName, TrialId, arms_of
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.analysis.registry import AnalysisSettings, Assessed, Champion
@@ -131,7 +130,7 @@ class StudyFiles:
         for trial, scored in zip(self.spec.trials, self.trials, strict=True):
             if scored.status == "ok":
                 files = self.inputs[InputName(SCORED, trial)]
-                design = design_from(decode_json(files[CHAMPION], trial.label), trial.label)
+                design = design_from(files[CHAMPION], trial.label)
                 known = scored.fitness, scored.predicted, scored.zero_shot
                 found.append(Champion(trial.environment, trial.depth, trial.index, design, *known))
         return found

@@ -18,8 +18,7 @@ from pipeline.stages.data_sets import networks_of
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.segments import CHAMPION_OF, POPULATION, SegmentSpec, TrialSpec
 from pipeline.stages.trial_scores import SCORE, TrialScores, decode_scores, encode_scores, scored_trial
-from pipeline.store.design_file import design_document
-from pipeline.store.encoding import encode_json
+from pipeline.store.design_file import design_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
@@ -117,7 +116,7 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     champion = segments.champion_of(evolved)
     if champion is None:
         return {SCORE: encode_scores(None)}
-    files = {CHAMPION: encode_json(design_document(champion))}
+    files = {CHAMPION: design_json(champion)}
     networks = environments.networks_among(inputs)
     at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, networks)
     by_member = np.atleast_2d(environments.roll_out(home, execution, at_home, champion).displacement)[:, 0]
@@ -133,7 +132,7 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     if _ADAPTED_TO in inputs:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
-            files[ADAPTED] = encode_json(design_document(adapted))
+            files[ADAPTED] = design_json(adapted)
             root, whole = _at_target(trial, execution, adapted)
             scores = replace(scores, adapted=root, adapted_com=whole)
     return {**files, SCORE: encode_scores(scores)}

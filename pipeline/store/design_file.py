@@ -1,5 +1,6 @@
 """Designs in files: one as JSON, design.json, and many as Parquet."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -7,52 +8,32 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import ConfigDict, ValidationError, conlist, create_model
 
 from pipeline.errors import PuddleError
-from pipeline.store.encoding import check_format, decode_json, encode_json
-from tasks.design import N_LINKS, DesignError, Designs, check
-from tasks.design.genes import DTYPES, PER_DESIGN, concatenate
+from pipeline.store.encoding import decode_document, encode_document
+from tasks.design import DesignError, Designs, check
+from tasks.design.genes import DTYPES, concatenate
 
 DESIGN_SCHEMA, DESIGN_VERSION = "puddle.design", 1
 
 _DESIGN_JSON = "design_json"  # column of the table of champions
 
 
-def _field_type(name: str) -> Any:
-    kind = {np.bool_: bool, np.int64: int}.get(DTYPES[name], float)
-    return kind if name in PER_DESIGN else conlist(kind, min_length=N_LINKS, max_length=N_LINKS)
-
-
-_FIELDS: dict[str, Any] = {name: (_field_type(name), ...) for name in DTYPES}
-_Document = create_model("_Document", __config__=ConfigDict(extra="forbid", strict=True), **_FIELDS)
-
-
-def design_document(design: Designs) -> dict[str, Any]:
-    """Return one design as plain values."""
+def design_json(design: Designs) -> bytes:
+    """Return the design file of one design."""
     fields = {name: array[0].tolist() for name, array in design.arrays()}
-    return {"schema": DESIGN_SCHEMA, "version": DESIGN_VERSION, **fields}
+    return encode_document(fields, schema=DESIGN_SCHEMA, version=DESIGN_VERSION)
 
 
-def design_from(document: Any, source: str) -> Designs:
-    """Return the design in a parsed design file, which messages call ``source``; the error names the faulty field."""
-    check_format(document, schema=DESIGN_SCHEMA, version=DESIGN_VERSION, source=source)
-    try:
-        fields = _Document(**{name: value for name, value in document.items() if name not in ("schema", "version")})
-        design = Designs(**{name: np.array([getattr(fields, name)], dtype) for name, dtype in DTYPES.items()})
-        check(design)
-    except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(map(str, first["loc"]))
-        raise PuddleError(f"{source}: {name}: {first['msg']}, got {str(first['input'])[:100]}") from None
-    except (DesignError, OverflowError) as error:
-        raise PuddleError(f"{source}: {str(error).removeprefix('design 0: ')}") from None
-    return design
+def design_from(data: bytes, source: str) -> Designs:
+    """Return the design in a design file, which messages call ``source``; the error names the faulty gene."""
+    document = decode_document(data, schema=DESIGN_SCHEMA, version=DESIGN_VERSION, source=source)
+    return _designs({name: [value] for name, value in document.items()}, source)
 
 
 def read_design(path: Path) -> Designs:
     """Read a design file."""
-    return design_from(decode_json(path.read_bytes(), str(path)), str(path))
+    return design_from(path.read_bytes(), str(path))
 
 
 def write_design(design: Designs, path: Path) -> None:
@@ -63,7 +44,7 @@ def write_design(design: Designs, path: Path) -> None:
         check(design)
     except DesignError as error:
         raise PuddleError(f"{path}: {str(error).removeprefix('design 0: ')}") from None
-    path.write_bytes(encode_json(design_document(design)))
+    path.write_bytes(design_json(design))
 
 
 def read_designs(path: Path) -> Designs:
@@ -84,25 +65,30 @@ def read_designs(path: Path) -> Designs:
     if not len(table):
         raise PuddleError(f"{path}: expected at least one design, got none")
     if _DESIGN_JSON in table.column_names:
-        named = [(f"{path}, row {row}", text) for row, text in enumerate(table[_DESIGN_JSON].to_pylist())]
-        return concatenate([design_from(decode_json(text.encode(), name), name) for name, text in named])
-    if missing := sorted(DTYPES.keys() - set(table.column_names)):
-        raise PuddleError(f"{path}: expected a column for each gene, got none for {', '.join(missing)}")
+        texts = table[_DESIGN_JSON].to_pylist()
+        return concatenate([design_from(text.encode(), f"{path}, row {row}") for row, text in enumerate(texts)])
+    return _designs({name: table[name].to_pylist() for name in DTYPES if name in table.column_names}, str(path))
+
+
+def _designs(genes: Mapping[str, Any], source: str) -> Designs:
+    if missing := [name for name in DTYPES if name not in genes]:
+        raise PuddleError(f"{source}: expected every gene, got none for {', '.join(missing)}")
     try:
-        designs = Designs(**{name: _gene(name, table[name]) for name in DTYPES})
+        designs = Designs(**{name: _numbers(name, genes[name]) for name in DTYPES})
         check(designs)
     except ValueError as error:  # DesignError is one
-        raise PuddleError(f"{path}: {error}") from None
+        raise PuddleError(f"{source}: {str(error).removeprefix('design 0: ')}") from None
     return designs
 
 
-def _gene(name: str, column: pa.ChunkedArray) -> npt.NDArray[Any]:
-    number = pa.from_numpy_dtype(DTYPES[name])
-    kind = number if name in PER_DESIGN else pa.list_(number, N_LINKS)
+def _numbers(name: str, values: Any) -> npt.NDArray[Any]:
     try:
-        return np.array(column.cast(kind).to_pylist(), DTYPES[name])
-    except (pa.ArrowException, TypeError):
-        raise ValueError(f"column {name}: expected {kind} in every row, got {column.type}") from None
+        numbers = np.array(values)
+    except ValueError:  # lists of different lengths
+        numbers = np.array(None)
+    if numbers.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: expected numbers, equally many of each design, got {str(values)[:100]}")
+    return numbers
 
 
 def read_parquet(content: bytes) -> pa.Table:

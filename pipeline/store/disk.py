@@ -106,49 +106,41 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-class Locked(PuddleError):  # noqa: N818 (a state, not a fault)
-    """Another process holds a lock."""
-
-
 @contextlib.contextmanager
 def locked(
-    path: Path,
-    *,
-    seconds: float = 120.0,
-    kind: int = fcntl.LOCK_EX,
-    create: bool = True,
-    taken: Callable[[], str] | None = None,
+    path: Path, *, seconds: float = 120.0, shared: bool = False, taken: Callable[[], str] | None = None
 ) -> Iterator[int]:
-    """Hold a lock file; it is released when the process ends.
+    """Hold a lock file, and yield its descriptor; it is released when the process ends.
 
     Args:
         path: the lock file.
         seconds: longest time to wait for other processes and threads [s]; a commit takes milliseconds.
-        kind: fcntl.LOCK_EX, or LOCK_SH for a lock that several may share.
-        create: whether to make the file if there is none, and open it for writing.
+        shared: whether others may share it.
         taken: returns what the error says if it is not that a process is stopped.
 
-    Yields:
-        The file's descriptor.
-
     Raises:
-        Locked: another process still holds it, as one does that is stopped (Ctrl-Z).
+        PuddleError: another process still holds it, as one does that is stopped (Ctrl-Z).
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT if create else os.O_RDONLY, 0o644)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         end = time.monotonic() + seconds
-        while True:
-            try:
-                fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() >= end:
-                    stopped = (
-                        f"{path} has been locked for {seconds:.0f} s by another process of puddle. Continue it if it "
-                        f"is stopped (fg), or end it. Committed results are safe: the same command resumes."
-                    )
-                    raise Locked(taken() if taken else stopped) from None
-                time.sleep(0.01)
+        while not try_lock(descriptor, shared=shared):
+            if time.monotonic() >= end:
+                stopped = (
+                    f"{path} has been locked for {seconds:.0f} s by another process of puddle. Continue it if it is "
+                    f"stopped (fg), or end it. Committed results are safe: the same command resumes."
+                )
+                raise PuddleError(taken() if taken else stopped)
+            time.sleep(0.01)
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def try_lock(descriptor: int, *, shared: bool) -> bool:
+    """Lock an open file, and return whether no other process holds it."""
+    try:
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 import safetensors.numpy
 from safetensors import SafetensorError
 
-from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
+from pipeline.errors import DamagedArtifact, OtherVersion
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 Array: TypeAlias = npt.NDArray[Any]
@@ -65,19 +65,19 @@ def decode_json(data: bytes, source: str) -> Any:
     try:
         return json.loads(data.decode(), parse_constant=refuse)
     except ValueError as error:
-        raise PuddleError(f"{source}: expected a JSON document (UTF-8): {error}") from None
+        raise DamagedArtifact(f"{source}: expected a JSON document (UTF-8): {error}") from None
 
 
 # -- formats ---------------------------------------------------------------------------------------------------------
 
 
 def check_format(found: Any, *, schema: str, version: int, source: str) -> None:
-    """Refuse a document, which messages call ``source``, of another schema (PuddleError) or version (OtherVersion)."""
+    """Refuse a document of another schema (DamagedArtifact) or version (OtherVersion)."""
     expected = f"expected {schema!r} version {version}"
     if not isinstance(found, dict) or found.get("schema") != schema or not isinstance(found.get("version"), int):
         got = found.get("schema") if isinstance(found, dict) else None
         what = repr(got) if isinstance(got, str) else "a file that puddle did not write"
-        raise PuddleError(f"{source}: {expected}, got {what}. Is it the right file?")
+        raise DamagedArtifact(f"{source}: {expected}, got {what}. Is it the right file?")
     if found["version"] != version:
         advice = (
             "A newer puddle wrote it: upgrade puddle."
@@ -93,19 +93,14 @@ def encode_document(value: Mapping[str, Json], *, schema: str, version: int) -> 
 
 
 def decode_document(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Any]:
-    """Return a JSON document of puddle's own.
+    """Return a JSON document of puddle's own, which messages call ``source``.
 
     Raises:
         OtherVersion: another version of puddle wrote it.
         DamagedArtifact: it is no such document.
     """
-    try:
-        value = decode_json(data, source)
-        check_format(value, schema=schema, version=version, source=source)
-    except OtherVersion:
-        raise
-    except PuddleError as error:
-        raise DamagedArtifact(str(error)) from None
+    value = decode_json(data, source)
+    check_format(value, schema=schema, version=version, source=source)
     return dict(value)
 
 
@@ -139,14 +134,14 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
     """Return the columns of a table, which messages call ``source``, as new, writable, C-contiguous arrays by name.
 
     Raises:
-        PuddleError: the data are damaged or have another format.
+        DamagedArtifact, OtherVersion: the data are damaged or have another format.
     """
     try:
         file = pq.ParquetFile(pa.BufferReader(data), pre_buffer=False)
         check_format(_label_of(file, source), schema=schema, version=version, source=source)
         table = file.read(use_threads=False)
     except (pa.ArrowException, OSError) as error:
-        raise PuddleError(f"{source}: expected a Parquet file of {schema!r} version {version}: {error}") from None
+        raise DamagedArtifact(f"{source}: expected a Parquet file of {schema!r} version {version}: {error}") from None
     return {name: _numpy_column(table.column(name)) for name in table.column_names}
 
 
@@ -198,12 +193,14 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> dic
     """Return new, writable arrays by sorted name from a safetensors file, which messages call ``source``.
 
     Raises:
-        PuddleError: the data are damaged or have another format.
+        DamagedArtifact, OtherVersion: the data are damaged or have another format.
     """
     try:
         loaded = safetensors.numpy.load(data)
     except SafetensorError as error:
-        raise PuddleError(f"{source}: expected a safetensors file of {schema!r} version {version}: {error}") from None
+        raise DamagedArtifact(
+            f"{source}: expected a safetensors file of {schema!r} version {version}: {error}"
+        ) from None
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
     label = header.get("__metadata__", {}).get(_METADATA_KEY, "null")
     check_format(decode_json(label.encode(), source), schema=schema, version=version, source=source)

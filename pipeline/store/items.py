@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
 from pipeline.store import disk
-from pipeline.store.encoding import Json, canonical_json, decode_json, digest, key_of
+from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import MANIFEST, FileEntry, Manifest, decode_manifest, encode_manifest
 from pipeline.store.provenance import environment
 
@@ -33,20 +33,13 @@ class Items:
     root: Path
 
     def commit(
-        self,
-        stage: str,
-        key: str,
-        identity: Mapping[str, Json],
-        files: Mapping[str, bytes],
-        *,
-        record: Mapping[str, Json],
+        self, stage: str, identity: Mapping[str, Json], files: Mapping[str, bytes], *, record: Mapping[str, Json]
     ) -> Manifest:
         """Commit an item, completely or not at all.
 
         Args:
             stage: stage that the item belongs to.
-            key: ``key_of(identity)``.
-            identity: everything that determines the item.
+            identity: everything that determines the item; its key is ``key_of(identity)``.
             files: contents by file name.
             record: further facts; not part of the digest.
 
@@ -56,18 +49,11 @@ class Items:
         Raises:
             Irreproducible: it was committed before with other contents, which stay.
             OSError: the disk is full, read-only or failing.
-            ValueError: the key is not that of the identity.
         """
-        if key != key_of(identity):
-            raise ValueError(f"{stage} {key}: expected the key of its identity, {key_of(identity)}")
-        manifest = Manifest(
-            stage=stage,
-            key=key,
-            identity=decode_json(canonical_json(identity), "identity"),  # as it will be read back: tuples become lists
-            files={name: FileEntry(digest(data), len(data)) for name, data in sorted(files.items())},
-            environment=environment(),
-            record=decode_json(canonical_json(record), "record"),
-        )
+        key = key_of(identity)
+        entries = {name: FileEntry(digest(data), len(data)) for name, data in files.items()}
+        document = encode_manifest(Manifest(stage, key, identity, entries, environment(), record))
+        manifest = decode_manifest(document, stage=stage, key=key, source=MANIFEST)  # as it will be read back
         folder = self._item(stage, key)
         with disk.locked(self.root / "commit.lock"):
             with contextlib.suppress(DamagedArtifact):  # a damaged one counts as missing: here is its successor
@@ -83,7 +69,7 @@ class Items:
             disk.make_folders(folder)
             for name, data in sorted(files.items()):
                 disk.place(folder / name, data)
-            disk.place(folder / MANIFEST, encode_manifest(manifest))
+            disk.place(folder / MANIFEST, document)
         return manifest
 
     def manifest(self, stage: str, key: str, *, hashed: bool = False) -> Manifest | None:

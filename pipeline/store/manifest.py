@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError
 
 from pipeline.errors import DamagedArtifact
-from pipeline.store.encoding import Json, canonical_json, decode_document, digest, encode_document, key_of
+from pipeline.store.encoding import canonical_json, decode_document, digest, encode_document, key_of
 
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
@@ -17,7 +19,7 @@ class FileEntry:
     """SHA-256 and length of one file of an item."""
 
     sha256: str
-    n_bytes: int
+    n_bytes: Annotated[int, Field(alias="bytes")]
 
 
 @dataclass(frozen=True)
@@ -37,23 +39,17 @@ class Manifest:
         return digest(canonical_json([[name, entry.sha256] for name, entry in sorted(self.files.items())]))
 
 
-_PLAIN_FIELDS = ("stage", "key", "identity", "environment", "record")
+_MANIFEST = TypeAdapter(Manifest)
 
 
 def encode_manifest(manifest: Manifest) -> bytes:
     """Encode a manifest."""
-    files: Json = {name: {"sha256": entry.sha256, "bytes": entry.n_bytes} for name, entry in manifest.files.items()}
-    body: dict[str, Json] = {**vars(manifest), "files": files, "digest": manifest.digest}
-    return encode_document(body, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION)
+    body = _MANIFEST.dump_python(manifest, mode="json", by_alias=True)
+    return encode_document({**body, "digest": manifest.digest}, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION)
 
 
 def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manifest:
-    """Return the manifest of an item.
-
-    Args:
-        data: the document.
-        stage, key: the item.
-        source: the document's name in messages.
+    """Return the manifest of an item from a document, which messages call ``source``.
 
     Raises:
         DamagedArtifact: the document was changed, or describes another item.
@@ -61,12 +57,12 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
     """
     body = decode_document(data, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION, source=source)
     try:
-        files = {name: FileEntry(entry["sha256"], entry["bytes"]) for name, entry in body["files"].items()}
-        manifest = Manifest(files=files, **{field: body[field] for field in _PLAIN_FIELDS})
-        found = manifest.stage, manifest.key, key_of(manifest.identity), manifest.digest
-    except (KeyError, TypeError, AttributeError) as error:
-        raise DamagedArtifact(f"{source}: expected a manifest's fields: {error!r}") from None
-    if found != (stage, key, key, body.get("digest")):
-        expected = f"expected {stage} {key} of digest {body.get('digest')}"
-        raise DamagedArtifact(f"{source}: {expected}, got {manifest.stage} {manifest.key} of digest {manifest.digest}")
+        manifest = _MANIFEST.validate_python(body)
+    except ValidationError as error:
+        raise DamagedArtifact(f"{source}: expected a manifest's fields: {error}") from None
+    expected, found = (stage, key, body.get("digest")), (manifest.stage, key_of(manifest.identity), manifest.digest)
+    if found != expected:
+        raise DamagedArtifact(
+            "{}: expected {} {} of digest {}, got {} {} of digest {}".format(source, *expected, *found)
+        )
     return manifest

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import fcntl
 import os
 import platform
 import sys
@@ -112,12 +111,11 @@ class Store(Items):
         """
         wrong: list[PuddleError] = []
         items = dict.fromkeys(self.items(), "of no study")
-        for name in self._names("studies"):
+        for name in self.studies():
             try:
                 record = self.read_study(name)
                 if record is None and self.driver_of(name) is None:
-                    path = self.study_path(name) / "study.json"
-                    raise DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}")
+                    raise DamagedArtifact(f"{self.record_path(name)}: expected a record, found no file. {WRITTEN_ANEW}")
                 for item in record.items if record else ():
                     items[item.stage, item.key] = f"study {name}: {item.stage} {item.label}"
             except PuddleError as error:
@@ -138,18 +136,18 @@ class Store(Items):
 
     def write_study(self, record: StudyRecord) -> None:
         """Write the record of a study, replacing the earlier one."""
-        folder = self.study_path(record.name)
+        path = self.record_path(record.name)
         data = encode_document(_RECORD.dump_python(record, mode="json"), schema=STUDY_SCHEMA, version=STUDY_VERSION)
         with disk.locked(self.root / "commit.lock"):
-            disk.make_folders(folder)
-            disk.place(folder / "study.json", data)
+            disk.make_folders(path.parent)
+            disk.place(path, data)
 
     def read_study(self, name: str) -> StudyRecord | None:
         """Return the record of a study, or None if there is no study of that name.
 
         A damaged record raises DamagedArtifact, and one of another version of puddle OtherVersion.
         """
-        path = self.study_path(name) / "study.json"
+        path = self.record_path(name)
         try:
             data = path.read_bytes()
             body = decode_document(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
@@ -162,10 +160,9 @@ class Store(Items):
                 f"{path}: expected a study's name, settings and items: {error}. {WRITTEN_ANEW}"
             ) from None
 
-    def studies(self, *, recorded: bool = True) -> list[str]:
-        """Return the names of the studies that have a record, or of those that have lost it."""
-        names = self._names("studies")
-        return [name for name in names if (self.study_path(name) / "study.json").exists() == recorded]
+    def studies(self) -> list[str]:
+        """Return the names of the studies, also of one that has lost its record."""
+        return self._names("studies")
 
     @contextlib.contextmanager
     def lock_study(self, name: str) -> Iterator[None]:
@@ -182,8 +179,7 @@ class Store(Items):
             return f"{self.root}: another process of puddle is removing items. Wait until it ends."
 
         folder = self.study_path(name)
-        use = disk.locked(self.root / "use.lock", seconds=_SECONDS_TO_LOCK, kind=fcntl.LOCK_SH, taken=removing)
-        with use:
+        with disk.locked(self.root / "use.lock", seconds=_SECONDS_TO_LOCK, shared=True, taken=removing):
             disk.make_folders(folder)
             with disk.locked(folder / "driver.lock", seconds=_SECONDS_TO_LOCK, taken=taken) as descriptor:
                 os.ftruncate(descriptor, 0)
@@ -195,7 +191,7 @@ class Store(Items):
         """Become the only process that uses the store, so that no study is driven; the error names a driver."""
 
         def taken() -> str:
-            drivers = {name: self.driver_of(name) for name in self._names("studies")}
+            drivers = {name: self.driver_of(name) for name in self.studies()}
             driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
             return f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle removes items'}. {_WAIT}"
 
@@ -205,13 +201,12 @@ class Store(Items):
     def driver_of(self, name: str) -> str | None:
         """Describe the process that drives a study; None if none does."""
         path = self.study_path(name) / "driver.lock"
-        try:
-            with disk.locked(path, seconds=0.0, kind=fcntl.LOCK_SH, create=False):
-                return None
-        except FileNotFoundError:
+        if not path.exists():
             return None
-        except disk.Locked:
-            return path.read_text() or "another process, which has only just started"
+        with path.open() as lock:
+            if disk.try_lock(lock.fileno(), shared=True):
+                return None
+            return lock.read() or "another process, which has only just started"
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
         """Write a study's report to its folder, over the earlier one, and return the folder."""
@@ -225,6 +220,10 @@ class Store(Items):
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` creates."""
         return self.study_path(name) / "report"
+
+    def record_path(self, name: str) -> Path:
+        """Return the path of a study's record, whether or not it exists."""
+        return self.study_path(name) / "study.json"
 
     def study_path(self, name: str) -> Path:
         """Return a study's folder, whether or not it exists."""

@@ -49,14 +49,13 @@ def read_track_columns(content: bytes, name: str) -> TrackColumns:
 
 
 def _read_csv(content: bytes) -> pa.Table:
-    heading = content.partition(b"\n")[0].removeprefix(b"\xef\xbb\xbf").decode(errors="replace").split(",")
-    numbers = {column: pa.float64() for column in heading if column.strip() in _KNOWN}
-    table = pa.csv.read_csv(
-        pa.BufferReader(content),
+    heading, _, rows = content.partition(b"\n")
+    heading = b",".join(column.strip() for column in heading.split(b","))
+    return pa.csv.read_csv(
+        pa.BufferReader(heading + b"\n" + rows),
         pa.csv.ReadOptions(use_threads=False),  # a message then names the row
-        convert_options=pa.csv.ConvertOptions(column_types=numbers),
+        convert_options=pa.csv.ConvertOptions(column_types=dict.fromkeys(_KNOWN, pa.float64())),
     )
-    return table.rename_columns([column.strip() for column in table.column_names])
 
 
 def track_table(columns: TrackColumns, name: str) -> TrackTable:

@@ -125,7 +125,7 @@ class _Dispatcher:
             "execution": to_json(item.execution),
             "code": self._code,
         }
-        manifest = self._run.store.commit(item.stage, item.key, item.identity, files, record=record)
+        manifest = self._run.store.commit(item.stage, item.identity, files, record=record)
         left = progress.left
         progress.manifests.append(manifest)
         progress.n_failures, progress.alone = 0, False

@@ -69,8 +69,8 @@ def recorded_study(store: Store, name: str) -> StudyRecord:
     names = store.studies()
     if name in names and (record := store.read_study(name)) is not None:
         return record
-    if name in store.studies(recorded=False):
-        raise PuddleError(f"study {name}: {store.study_path(name)} has lost its record, study.json. {WRITTEN_ANEW}")
+    if name in names:
+        raise PuddleError(f"study {name}: {store.record_path(name)}: expected a record, found no file. {WRITTEN_ANEW}")
     if not names:
         raise PuddleError(f"study {name!r}: {store.root} holds no study yet. `puddle study` makes one.")
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.4)

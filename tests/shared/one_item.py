@@ -13,7 +13,7 @@ RECORD = {"seconds": 1.25}
 
 
 def commit(store: Store, files: dict[str, bytes] = FILES) -> Manifest:
-    return store.commit("evolve", KEY, IDENTITY, files, record=RECORD)
+    return store.commit("evolve", IDENTITY, files, record=RECORD)
 
 
 def item(store: Store) -> Path:

@@ -81,9 +81,9 @@ class QuickStudy:
         record = Record() if record is None else record
 
         class RecordingStore(Store):
-            def commit(self, stage: str, key: str, *rest: Any, **more: Any) -> Any:
-                manifest = super().commit(stage, key, *rest, **more)
-                record.committed.append(key)
+            def commit(self, *rest: Any, **more: Any) -> Any:
+                manifest = super().commit(*rest, **more)
+                record.committed.append(manifest.key)
                 return manifest
 
         n_stages = 1 + [stage.name for stage in STAGES].index(last or STAGES[-1].name)

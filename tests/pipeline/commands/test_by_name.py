@@ -70,7 +70,8 @@ def test_a_damaged_record_is_refused_and_stays(command, store, capsys):
 
 def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
     (store.study_path("tiny") / "study.json").unlink()
-    assert "has lost its record, study.json" in refused(capsys, "status", "tiny", "--store", str(store.root))
+    said = refused(capsys, "status", "tiny", "--store", str(store.root))
+    assert "study.json: expected a record, found no file" in said
     shutil.rmtree(store.study_path("tiny"))
     assert "holds no study yet" in refused(capsys, "status", "--study", "tiny", "--store", str(store.root))
     nowhere = str(tmp_path / "nowhere")

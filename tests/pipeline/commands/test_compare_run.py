@@ -16,7 +16,7 @@ from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
 from pipeline.fabrication.kit_files import KIT, write_folder
 from pipeline.results.recorded_study import open_study
-from pipeline.store.design_file import design_document
+from pipeline.store.design_file import design_json
 from pipeline.vision.markers_file import RobotTags, markers_of
 from tasks.analysis.built_run import steady_speed
 from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
@@ -46,7 +46,7 @@ def run(robot, tmp_path_factory):
     """A folder with the kit, the tracks of its simulation at bench scale, and its speed [m/s]."""
     folder = tmp_path_factory.mktemp("run")
     choices = FabricationSettings(playback=Playback(duration=10.0))
-    files = {"design.json": json.dumps(design_document(robot)).encode()}
+    files = {"design.json": design_json(robot)}
     simulated = {
         "depth": 2.0,
         "physics": LOCKED.model_dump(mode="json"),
@@ -163,7 +163,7 @@ def test_tracks_of_something_else(write, message, run, tmp_path, capsys):
 def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):
     kit = predicting(run, tmp_path, 0.0, 1.0)
     faster = replace(robot, frequency=robot.frequency / 1.5)
-    (kit / "design.json").write_text(json.dumps(design_document(faster)))
+    (kit / "design.json").write_bytes(design_json(faster))
     assert "is this the kit of another" in compared(run, tmp_path, capsys, kit=kit)[1]
     assert "expected a kit of `puddle fabricate`" in compared(run, tmp_path, capsys, kit=tmp_path)[1]
     video = tmp_path / "run.mp4"

@@ -20,7 +20,7 @@ def store(store) -> Store:
         files = {name: store.read(manifest, name) for name in manifest.files}
         store.discard("evolve", key)
         record = {**manifest.record, "code": {"modules": "00000000", "files": "0" * 64}}
-        store.commit("evolve", key, manifest.identity, files, record=record)
+        store.commit("evolve", manifest.identity, files, record=record)
     return store
 
 

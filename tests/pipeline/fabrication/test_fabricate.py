@@ -16,7 +16,7 @@ from pipeline.fabrication.make_kit import fabricate
 from pipeline.fabrication.source import from_file, proposed
 from pipeline.results.recorded_study import open_study
 from pipeline.servo.play import PlayOptions, play_timeline
-from pipeline.store.design_file import design_document, read_design
+from pipeline.store.design_file import design_json, read_design
 from tasks.design import Designs
 from tasks.fabrication.kit_settings import FabricationSettings
 
@@ -28,7 +28,7 @@ def made(crane, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("fabricate")
     genes = {name: array.copy() for name, array in crane.arrays()}
     genes["motion_range"][:, 0] = 0.2
-    (folder / "crane.json").write_text(json.dumps(design_document(Designs(**genes))))
+    (folder / "crane.json").write_bytes(design_json(Designs(**genes)))
     assert call("fabricate", str(folder / "crane.json"), "--out", str(folder / "kit")) == 0
     return folder
 

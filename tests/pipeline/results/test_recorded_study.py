@@ -1,6 +1,5 @@
 """A recorded study, read back: its progress, tables, champions and networks, and what is refused."""
 
-import json
 import shutil
 from dataclasses import replace
 
@@ -18,7 +17,7 @@ from pipeline.results.recorded_study import CHAMPIONS, StageProgress, open_study
 from pipeline.results.study_tables import KEYS, SOURCES
 from pipeline.stages import STAGES
 from pipeline.stages.report import read_page
-from pipeline.store.design_file import design_document
+from pipeline.store.design_file import design_json
 from pipeline.store.store import FailedChain, Store
 from tasks.evolution import OPERATORS
 from tasks.simulation import simulate
@@ -109,7 +108,7 @@ def test_a_champion_scores_again_what_the_table_says(opened, settings):
     for row in champions.to_pylist():
         assert (row["adapted"] is None) == (row["environment"] != "dry_land")
         champion = opened.champion(row["environment"], depth=1.0, trial=row["trial"])
-        assert len(champion) == 1 and design_document(champion) == json.loads(row["design_json"])
+        assert len(champion) == 1 and design_json(champion).decode() == row["design_json"]
         assert simulate(champion, TrueSlush(depth=1.0), **settle).displacement[0] == row["zero_shot"]
         if row["environment"] == "residual_slush":
             under = simulate(champion, ResidualSlush(depth=1.0, ensemble=opened.ensemble()), **settle).displacement

@@ -1,7 +1,5 @@
 """A study with learners of its own beside Residual Slush, from the throws to the page, as a user runs it."""
 
-import json
-
 import numpy as np
 import pytest
 from command_line import call
@@ -12,7 +10,7 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
-from pipeline.store.design_file import design_document
+from pipeline.store.design_file import design_json
 from pipeline.workflow.identity import to_json
 from tasks.design import random_designs
 
@@ -62,7 +60,7 @@ def test_the_page_names_them_in_colours_of_their_own(folder):
 
 def test_a_design_is_simulated_under_a_learner(folder, capsys):
     design = folder / "design.json"
-    design.write_text(json.dumps(design_document(random_designs(1, np.random.default_rng(3)))))
+    design.write_bytes(design_json(random_designs(1, np.random.default_rng(3))))
     where = ("--study", "listed", "--store", str(folder / "store"), "--depth", "1")
     assert call("simulate", str(design), "--environment", "five", *where) == 0
     said = capsys.readouterr().out

@@ -171,7 +171,7 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     written = store.root / "studies" / "pontoon" / "report" / "proposed-designed_throws-2m.json"
     assert str(written) == path
     assert written.read_bytes() == champion
-    design_from(json.loads(champion), "proposed")
+    design_from(champion, "proposed")
     film = tmp_path / "film.gif"
     (tmp_path / "pontoon.yaml").write_text(pontoon.model_dump_json())
     options = SettingsOptions(settings_file=tmp_path / "pontoon.yaml", store=store.root)

@@ -8,11 +8,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.store.design_file import design_document, design_from, read_designs
+from pipeline.store.design_file import design_from, design_json, read_designs
 from tasks.design import random_designs
 
 DESIGNS = random_designs(5, np.random.default_rng(3))
-DOCUMENTS = [json.dumps(design_document(DESIGNS[i : i + 1])) for i in range(len(DESIGNS))]
+DOCUMENTS = [design_json(DESIGNS[i : i + 1]).decode() for i in range(len(DESIGNS))]
 COLUMNS = {name: array.tolist() for name, array in DESIGNS.arrays()}
 
 
@@ -22,7 +22,7 @@ def written(folder, columns):
 
 
 def test_every_form_of_a_table_gives_the_same_designs(tmp_path):
-    (tmp_path / "design.json").write_text(json.dumps(json.loads(DOCUMENTS[0]), indent=2))
+    (tmp_path / "design.json").write_text(DOCUMENTS[0])
     assert (read_designs(tmp_path / "design.json").table == DESIGNS[:1].table).all()
     for columns in ({**COLUMNS, "fitness": [0.0] * 5}, {"trial": list(range(5)), "design_json": DOCUMENTS}):
         assert (read_designs(written(tmp_path, columns)).table == DESIGNS.table).all()
@@ -31,12 +31,13 @@ def test_every_form_of_a_table_gives_the_same_designs(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"phase": None}, "expected a column for each gene, got none for phase"),
-        ({"phase": [[0.0] * 5] * 5}, r"column phase: expected fixed_size_list<.*double>\[6\] in every row"),
-        ({"phase": [[0.0] * 6] * 4 + [[0.0] * 5]}, "column phase: expected"),
-        ({"frequency": ["fast"] * 5}, "column frequency: expected double in every row, got string"),
+        ({"phase": None}, "expected every gene, got none for phase"),
+        ({"phase": [[0.0] * 5] * 5}, r"phase has shape \(5, 5\), expected \(n_designs, 6\)"),
+        ({"phase": [[0.0] * 6] * 4 + [[0.0] * 5]}, "phase: expected numbers, equally many of each design"),
+        ({"frequency": ["fast"] * 5}, r"frequency: expected numbers, .*, got \['fast'"),
         ({"frequency": [0.1, 0.1, 7.0, 0.1, 0.1]}, "design 2: frequency is 7"),
-        ({"parent": [[0.5] * 6] * 5}, "column parent: expected"),
+        ({"frequency": [0.1, 0.1, None, 0.1, 0.1]}, "frequency: expected numbers"),
+        ({"parent": [[0.5] * 6] * 5}, "parent: expected values of type int64"),
         ({"design_json": [*DOCUMENTS[:4], "{}"]}, "row 4: expected 'puddle.design' version 1"),
         ({name: [] for name in COLUMNS}, "expected at least one design, got none"),
     ],
@@ -52,19 +53,17 @@ def test_a_faulty_column_is_named(tmp_path, changed, said):
     [
         ({"schema": "other"}, "expected 'puddle.design' version 1, got 'other'"),
         ({"version": 2}, "got version 2"),
-        ({"fase": 1}, "fase: Extra inputs are not permitted, got 1"),
-        ({"phase": [0.0] * 5}, "phase: List should have at least 6 items"),
-        ({"phase": [0.0] * 5 + ["0"]}, "phase.5: Input should be a valid number, got 0"),
-        ({"motor_on": [1] * 6}, "motor_on.0: Input should be a valid boolean, got 1"),
-        ({"parent": [-1, 0, 0, 0, 0, 2**70]}, "int"),
-        ({"frequency": 7.0}, "the file: frequency is 7"),
+        ({"phase": [0.0] * 5}, "phase has shape .*, expected .*6"),
+        ({"phase": [0.0] * 5 + ["0"]}, "phase: expected numbers, .*'0'"),
+        ({"motor_on": [2] * 6}, "motor_on: expected values of type bool"),
+        ({"parent": [-1, 0, 0, 0, 0, 2**70]}, "parent: expected numbers"),
+        ({"frequency": 7.0}, "frequency is 7"),
     ],
 )
 def test_a_faulty_field_is_named(changed, said):
-    document = json.loads(DOCUMENTS[0])
-    assert (design_from(document, "the file").table == DESIGNS[:1].table).all()
-    with pytest.raises(PuddleError, match=f"the file: .*{said}|{said}"):
-        design_from(document | changed, "the file")
+    assert (design_from(DOCUMENTS[0].encode(), "the file").table == DESIGNS[:1].table).all()
+    with pytest.raises(PuddleError, match=f"the file: .*{said}"):
+        design_from(json.dumps(json.loads(DOCUMENTS[0]) | changed).encode(), "the file")
 
 
 def test_no_table_of_designs(tmp_path):

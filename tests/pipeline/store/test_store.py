@@ -13,7 +13,7 @@ from one_item import FILES, IDENTITY, KEY, RECORD, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
 from pipeline.store import disk
-from pipeline.store.encoding import digest, encode_document, key_of
+from pipeline.store.encoding import digest, encode_document
 from pipeline.store.store import Store, StudyItem, StudyRecord
 
 # -- what it is for --------------------------------------------------------------------------------------------------
@@ -40,14 +40,14 @@ def test_a_manifest_describes_the_item_and_where_it_was_made(store: Store, tmp_p
     text = json.dumps([[name, digest(data)] for name, data in sorted(FILES.items())], separators=(",", ":"))
     assert made["digest"] == committed.digest == digest(text.encode())
     other = Store.open(tmp_path / "other", create=True)
-    again = other.commit("evolve", KEY, IDENTITY, dict(reversed(FILES.items())), record={"seconds": 99})
+    again = other.commit("evolve", IDENTITY, dict(reversed(FILES.items())), record={"seconds": 99})
     assert again.digest == committed.digest
 
 
 def test_a_result_computed_twice_must_be_equal(store: Store) -> None:
     first = commit(store)
     before = tree(store.root)
-    assert store.commit("evolve", KEY, IDENTITY, FILES, record={"seconds": 7.0}) == first
+    assert store.commit("evolve", IDENTITY, FILES, record={"seconds": 7.0}) == first
     other = {**FILES, "log": b"other"}
     with pytest.raises(Irreproducible) as told:
         commit(store, other)
@@ -59,7 +59,7 @@ def test_a_result_computed_twice_must_be_equal(store: Store) -> None:
 def test_what_another_item_produced_is_noticed(store: Store) -> None:
     """A file of another item, or its whole folder, manifest and all; both are intact in themselves."""
     first, second = commit(store), {**IDENTITY, "version": 2}
-    other = store.commit("evolve", key_of(second), second, {**FILES, "history.parquet": b"ROWS" * 100}, record={})
+    other = store.commit("evolve", second, {**FILES, "history.parquet": b"ROWS" * 100}, record={})
     place, origin = item(store), store.manifest_path("evolve", other.key).parent
     shutil.copy(origin / "history.parquet", place)
     with pytest.raises(DamagedArtifact, match=r"history\.parquet: expected SHA-256"):
@@ -83,11 +83,6 @@ def test_a_discarded_item_is_computed_again_to_the_same_bytes(store: Store) -> N
     assert tree(store.root) == before
 
 
-def test_a_key_that_is_not_of_its_identity_is_a_defect(store: Store) -> None:
-    with pytest.raises(ValueError, match=f"expected the key of its identity, {KEY}"):
-        store.commit("evolve", "0" * 64, IDENTITY, FILES, record={})
-
-
 # -- several processes -----------------------------------------------------------------------------------------------
 
 RACE = """
@@ -100,7 +95,7 @@ sys.stdin.readline()
 store = Store.open(Path(sys.argv[1]), create=True)
 for n in range(60):
     identity = {"n": n}
-    store.commit("evolve", key_of(identity), identity, {"a": b"%d" % n * 999, "b": b"b"}, record={"by": sys.argv[2]})
+    store.commit("evolve", identity, {"a": b"%d" % n * 999, "b": b"b"}, record={"by": sys.argv[2]})
 """
 
 

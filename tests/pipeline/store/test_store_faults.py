@@ -7,7 +7,6 @@ import pytest
 from mounted import mounted
 from one_item import FILES, KEY, commit
 
-from pipeline.store.encoding import key_of
 from pipeline.store.store import Store
 
 
@@ -23,7 +22,7 @@ def test_a_read_only_disk_is_read(tmp_path: Path) -> None:
         assert store.verify() == []
         other = {"stage": "evolve", "other": True}
         with pytest.raises(OSError, match="Read-only file system"):
-            store.commit("evolve", key_of(other), other, FILES, record={})
+            store.commit("evolve", other, FILES, record={})
         with pytest.raises(OSError, match="Read-only file system"), store.lock_study("laptop"):
             raise AssertionError("locked a read-only disk")
         with pytest.raises(OSError, match="Read-only file system"):
