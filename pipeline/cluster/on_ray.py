@@ -77,11 +77,7 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
     where = _local(n_workers or number_of_cores()) if address is None else _existing(address)
     with signals_unwind() as catch_signals, where as cluster:
         catch_signals()  # ray.init installs its own handler, which prints a native stack
-        try:
-            yield cluster
-        except BaseException:
-            cluster.cancel_all()
-            raise
+        yield cluster
 
 
 class _Ray:

@@ -31,7 +31,7 @@ def _fields(group: BaseModel, indent: str) -> Iterator[str]:
         else:
             default = field.get_default(call_default_factory=True)
             differs = "" if field.is_required() or value == default else f"  # default: {_value(default)}"
-            yield from _wrapped(f"{indent}{name}: {_value(value)}{differs}", indent)
+            yield f"{indent}{name}: {_value(value)}{differs}"
 
 
 def _choices(field: FieldInfo) -> str:
@@ -45,15 +45,6 @@ def _comment(text: str, indent: str) -> list[str]:
     return textwrap.wrap(" ".join(text.split()), _LINE_LENGTH, initial_indent=prefix, subsequent_indent=prefix)
 
 
-def _wrapped(line: str, indent: str) -> list[str]:
-    """Break a long list after a comma, which YAML allows inside brackets."""
-    if len(line) <= _LINE_LENGTH or "#" in line:
-        return [line]
-    return textwrap.wrap(line, _LINE_LENGTH, subsequent_indent=f"{indent}  ", break_long_words=False)
-
-
 def _value(value: object) -> str:
-    """Write a value as JSON, which is also YAML; a plain word needs no quotes."""
-    written = json.dumps(to_jsonable_python(value), ensure_ascii=False)
-    is_word = isinstance(value, str) and value.replace("_", "").isalpha() and value not in ("true", "false", "null")
-    return str(value) if is_word else written
+    """Write a value as JSON, which is also YAML."""
+    return json.dumps(to_jsonable_python(value), ensure_ascii=False)

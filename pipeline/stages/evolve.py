@@ -13,10 +13,8 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, trials_of
-from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, Upstream
 from tasks.evolution import OBJECTIVES
-
-_DIVERGED = "n_designs_diverged"  # MLflow metric: designs of a trial that diverged, over all its generations
 
 
 def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
@@ -43,7 +41,7 @@ def _item(
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Report each arm's best fitness, and each trial's curves."""
-    trials, curves, best = [], [], dict[Arm, list[float]]()
+    curves, best = [], dict[Arm, list[float]]()
     for trial in trials_of(settings, "evolve"):
         if trial not in results.done:
             continue
@@ -51,10 +49,9 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         final = float(curve["best_fitness"][-1])
         best.setdefault(trial.arm, []).append(final)
         curves.append(curve)
-        trials.append(_summarise_trial(store, trial, results.done[trial]))
     unit = OBJECTIVES[settings.evolution.objective].unit
     lines = [f"fitness: {settings.selected_for} [{unit}]"] if best else []
-    metrics = {"n_diverged": sum(trial.metrics[_DIVERGED] for trial in trials)}
+    metrics = {"n_diverged": float(sum(curve["n_diverged"].sum() for curve in curves))}
     for arm, fitness in best.items():
         known = [value for value in fitness if np.isfinite(value)]
         shown = f"{segments.mean_and_deviation(known)} {unit} (n = {len(known)})" if known else "     -"
@@ -68,7 +65,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         listed = ", ".join(f"{n / of:.1%} of {of:,} by {operator}" for operator, (of, n) in rejecting.items())
         lines.append(f"drawn again because evolution.morphology did not allow them: {listed}")
         metrics |= {f"rejected_share.{operator}": n / of for operator, (of, n) in rejecting.items()}
-    return Summary(lines=lines, metrics=metrics, trials=trials)
+    return Summary(lines, metrics)
 
 
 def _curves(store: Store, segment: Manifest) -> CurvePoints:
@@ -76,14 +73,14 @@ def _curves(store: Store, segment: Manifest) -> CurvePoints:
     return CurvePoints(curve["generation"].tolist(), {name: curve[name] for name in ("best_fitness", "median_fitness")})
 
 
-def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> TrialSummary:
+def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> Summary:
     """Report a trial's champion."""
     curve = segments.read_curve(store, parts)
-    metrics = {"champion_fitness": float(curve["best_fitness"][-1]), _DIVERGED: float(curve["n_diverged"].sum())}
+    best, n_diverged = float(curve["best_fitness"][-1]), float(curve["n_diverged"].sum())
     files = {segments.POPULATION: store.read(parts[-1], segments.POPULATION)}
     champion = segments.champion_of(segments.population_of(files))
     artifacts = {} if champion is None else {"champion.json": design_json(champion)}
-    return TrialSummary(trial, metrics, artifacts)
+    return Summary(metrics={"champion_fitness": best, "n_designs_diverged": n_diverged}, artifacts=artifacts)
 
 
 def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:

@@ -15,18 +15,7 @@ from pipeline.store.store import Store
 from pipeline.store.tables import Columns
 from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import ChainId
-from pipeline.workflow.stage import (
-    Chain,
-    Execution,
-    Files,
-    Inputs,
-    Item,
-    Results,
-    Stage,
-    Summary,
-    TrialSummary,
-    Upstream,
-)
+from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.residual import Architecture, ErrorRow, Training
 from tasks.seeding import replicate_seed
 
@@ -109,7 +98,7 @@ def _curves(store: Store, member: Manifest) -> CurvePoints:
     return CurvePoints(learning["iteration"].tolist(), losses)
 
 
-def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -> TrialSummary:
+def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -> Summary:
     """Report a member's errors, at the speeds of robots and over all throws."""
     errors = read_errors(store.read(parts[0], MEMBER_ERRORS), chain.label)
     metrics = {}
@@ -119,19 +108,19 @@ def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -
             name = f"{component}.{'low_speed' if band != 'all' else 'all'}"
             metrics[f"relative_error.{name}"] = float(errors["relative_error"][row])
             metrics[f"bias.{name}"] = float(errors["bias"][row])
-    return TrialSummary(chain, metrics)
+    return Summary(metrics=metrics)
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Report the error of each member."""
-    trials = [_summarise_member(store, chain, done) for chain, done in results.done.items()]
+    members = {chain: _summarise_member(store, chain, done).metrics for chain, done in results.done.items()}
     lines = [
-        f"{trial.chain.label}: relative error of vx {trial.metrics['relative_error.vx.all']:.3f}, "
-        f"below 0.5 m/s {trial.metrics['relative_error.vx.low_speed']:.2f} "
-        f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s)"
-        for trial in trials
+        f"{chain.label}: relative error of vx {metrics['relative_error.vx.all']:.3f}, "
+        f"below 0.5 m/s {metrics['relative_error.vx.low_speed']:.2f} "
+        f"(bias {metrics['bias.vx.low_speed']:+.4f} m/s)"
+        for chain, metrics in members.items()
     ]
-    return Summary(lines=lines or ["no trial needs residual networks"], trials=trials)
+    return Summary(lines or ["no trial needs residual networks"])
 
 
 TRAIN = Stage(

@@ -34,7 +34,6 @@ from pipeline.workflow.stage import (
     Sources,
     Stage,
     Summary,
-    TrialSummary,
     Upstream,
 )
 from tasks.analysis.scores import ScoredTrial
@@ -169,7 +168,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     }
     trials = [_summarise_trial(store, trial, done) for trial, done in results.done.items()]
     metrics["n_diverged"] = sum(trial.metrics.get(_ADAPTED_DIVERGED, 0.0) for trial in trials)
-    return Summary(lines=as_text(TransferRow, rows, TOO_WIDE), metrics=metrics, trials=trials)
+    return Summary(as_text(TransferRow, rows, TOO_WIDE), metrics)
 
 
 def _curves(store: Store, part: Manifest) -> CurvePoints:
@@ -179,7 +178,7 @@ def _curves(store: Store, part: Manifest) -> CurvePoints:
     return CurvePoints(curve["generation"].tolist(), {"adapted_best_fitness": curve["best_fitness"]})
 
 
-def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> TrialSummary:
+def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> Summary:
     """Report a trial's scores and designs, and its adaptation where there was one."""
     *adaptation, scored = parts
     scores = _read_scores(store, trial, scored)
@@ -188,7 +187,7 @@ def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) ->
     if adaptation:
         metrics[_ADAPTED_DIVERGED] = float(segments.read_curve(store, adaptation)["n_diverged"].sum())
     designs = {name: store.read(scored, name) for name in (CHAMPION, ADAPTED) if name in scored.files}
-    return TrialSummary(trial, metrics, designs)
+    return Summary(metrics=metrics, artifacts=designs)
 
 
 def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:

@@ -22,30 +22,14 @@ _QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no co
 _SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for the number of cores
 
 
-def run_stage(
-    run: StageRun, chains: Sequence[ChainProgress], *, cluster: Cluster, advance: Callable[[float], object]
-) -> None:
-    """Compute what is missing of a stage, and advance its chains.
-
-    Args:
-        run: the stage, its inputs and its store.
-        chains: its chains, from :meth:`StageRun.chains`.
-        cluster: computes items.
-        advance: counts the cost of work that has just been committed.
-
-    Raises:
-        PuddleError: an item needs a GPU, and the cluster has none.
-    """
-    _Dispatcher(run, cluster, advance).run(chains)
-
-
 _Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several chains, computed in one call
 
 
-class _Dispatcher:
+class Dispatcher:
     """Keeps a cluster busy with a stage's chains, heaviest remaining chain first."""
 
     def __init__(self, run: StageRun, cluster: Cluster, advance: Callable[[float], object]) -> None:
+        """Prepare to compute a stage; ``advance`` counts the cost of work that has just been committed."""
         self._run, self._stage = run, run.stage
         self._cluster, self._advance = cluster, advance
         self._shared: dict[tuple[str, tuple[str, ...]], Any] = {}
@@ -53,6 +37,14 @@ class _Dispatcher:
         self._code = recorded_code(run.stage)  # before any worker loads it: files may be edited while it runs
 
     def run(self, chains: Sequence[ChainProgress]) -> None:
+        """Compute what is missing of the stage's chains; raise PuddleError if that needs a GPU and there is none."""
+        try:
+            self._run_all(chains)
+        except BaseException:
+            self._cluster.cancel_all()
+            raise
+
+    def _run_all(self, chains: Sequence[ChainProgress]) -> None:
         ready = [progress for progress in chains if progress.open]
         while ready or self._running:
             queue = max(1, round(_QUEUED_PER_CORE * self._cluster.n_cores))  # machines join and leave

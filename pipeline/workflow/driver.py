@@ -16,7 +16,7 @@ from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact
 from pipeline.store.store import Store
 from pipeline.workflow.compiling import compile_kernels
-from pipeline.workflow.dispatcher import run_stage
+from pipeline.workflow.dispatcher import Dispatcher
 from pipeline.workflow.graph import ChainProgress, StageRun, other_code, require, results_of
 from pipeline.workflow.progress import Progress
 from pipeline.workflow.record import DrivenStudy
@@ -64,18 +64,15 @@ def drive(
     """
     mirror = StudyMirror(settings, store, tracker, source=source)
     with store.lock_study(settings.name), signals_unwind(), contextlib.ExitStack() as stack:
-        opened: list[Cluster] = []
 
+        @functools.cache
         def cluster() -> Cluster:
-            if not opened:
-                if kernels.seconds_to_compile(settings.physics):
-                    compile_kernels(settings.physics)
-                progress.say("starting the cluster")
-                opened.append(stack.enter_context(open_cluster()))
-            return opened[0]
+            if kernels.seconds_to_compile(settings.physics):
+                compile_kernels(settings.physics)
+            progress.say("starting the cluster")
+            return stack.enter_context(open_cluster())
 
         record = DrivenStudy(settings, store, progress.say, source)
-
         times = functools.cache(lambda: expected_seconds(cluster().n_cores))
         driver = _Driver(settings, stages, store, record, cluster, mirror, progress, times)
         discarded: set[tuple[str, str]] = set()
@@ -89,8 +86,6 @@ def drive(
                 progress.say(f"{damage}")
                 store.discard(damage.stage, damage.key)
                 discarded.add((damage.stage, damage.key))
-                for one in opened:
-                    one.cancel_all()  # the next attempt submits everything again
         stack.close()  # before the wait for MLflow
         mirror.close(progress.say)
     return upstream
@@ -117,6 +112,7 @@ class _Driver:
                 upstream[stage.name] = results_of(stage, chains)
                 continue
             require(self.settings, stage, self.stages, upstream)
+            self.mirror.start(stage, chains)
             try:
                 self._compute(run, chains, wanted)
             finally:  # `puddle status` needs to know what failed, however the stage ended
@@ -126,7 +122,7 @@ class _Driver:
             upstream[stage.name] = replace(found, diverged=stage.diverged(self.settings, found, self.store))
             summary = stage.summarise(self.settings, found, self.store)
             self.progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-            self.mirror.finish(stage, upstream, summary, is_last=stage is self.stages[-1])
+            self.mirror.finish(stage, found, summary, is_last=stage is self.stages[-1])
         if line := other_code(upstream):
             self.progress.say(line)
         return upstream
@@ -140,6 +136,5 @@ class _Driver:
         number = self.stages.index(run.stage) + 1
         place = f"stage {number} of {len(self.stages)}, {run.stage.name}"
         later = sum(self.times().get(stage.name, 0.0) for stage in self.stages[number:] if stage in wanted)
-        bar = self.progress.stage(place, total=left + done, done=done, later=later)
-        with self.mirror.live(run.stage, chains), bar as advance:
-            run_stage(run, chains, cluster=cluster, advance=advance)
+        with self.progress.stage(place, total=left + done, done=done, later=later) as advance:
+            Dispatcher(run, cluster, advance).run(chains)

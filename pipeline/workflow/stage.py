@@ -170,21 +170,11 @@ Upstream = Mapping[str, Results]  # results of earlier stages, by stage name
 
 
 @dataclass(frozen=True)
-class TrialSummary:
-    """One complete chain, as MLflow shows it beside its curves."""
-
-    chain: ChainId
-    metrics: Mapping[str, float]
-    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
-
-
-@dataclass(frozen=True)
 class Summary:
-    """A stage's results in short."""
+    """The results of a stage, or of one of its chains, in short."""
 
-    lines: Sequence[str]  # lines for the terminal
+    lines: Sequence[str] = ()  # lines for the terminal
     metrics: Mapping[str, float] = field(default_factory=dict)
-    trials: Sequence[TrialSummary] = ()
     artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
     films: Mapping[TrialId, Mapping[str, bytes]] = field(default_factory=dict)  # of trials of other stages, by path
     of_study: bool = False  # whether the study as a whole shows these metrics and artifacts too, to compare studies
@@ -209,8 +199,8 @@ class Stage(Generic[ChainSpecT, ItemSpecT]):
     """Describe what diverged, by complete chain; chains that stayed finite are left out."""
     curves: Callable[[Store, Manifest], CurvePoints] | None = None
     """Read the points that an item adds to its chain's curves. MLflow shows a stage that has some chain by chain."""
-    summarise_trial: Callable[[Store, ChainId, Sequence[Manifest]], TrialSummary] | None = None
-    """Sum up a complete chain of a stage with curves, as soon as it is complete."""
+    summarise_trial: Callable[[Store, ChainId, Sequence[Manifest]], Summary] = lambda store, chain, parts: Summary()
+    """Sum up a chain of a stage with curves for MLflow, as soon as it is complete."""
 
 
 AnyStage: TypeAlias = Stage[Any, Any]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -20,7 +20,7 @@ from pipeline.tracking.run import CurvePart, CurvePoints, Run
 from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.identity import ChainId, TrialId
 from pipeline.workflow.record import preset_of
-from pipeline.workflow.stage import AnyStage, Summary, TrialSummary, Upstream
+from pipeline.workflow.stage import AnyStage, Failure, Results, Summary
 
 if TYPE_CHECKING:
     from pipeline.tracking.mirror import Tracker
@@ -77,46 +77,28 @@ class StudyMirror:
             say("bringing the record of runs and curves up to date")
             self._thread.join()
 
-    @contextlib.contextmanager
-    def live(self, stage: AnyStage, chains: Sequence[ChainProgress]) -> Iterator[None]:
-        """Mirror a stage's chains as they grow, while the block computes them.
+    def start(self, stage: AnyStage, chains: Sequence[ChainProgress]) -> None:
+        """Mirror a stage's chains, which its driver advances, from now on until it ends."""
+        self._update = partial(self._mirror_trials, stage, chains, {})
+        self._work.put(self._update)
 
-        Args:
-            stage: the stage.
-            chains: its chains, which the block advances.
-        """
-        n_mirrored = dict.fromkeys((progress.chain.identity for progress in chains), 0)
+    def _mirror_trials(
+        self, stage: AnyStage, chains: Sequence[ChainProgress], mirrored: dict[ChainId, tuple[int, Failure | None]]
+    ) -> None:
+        """Mirror the chains of a stage with curves that have got further than they are mirrored."""
+        trials = []
+        for progress in chains if stage.curves else ():
+            chain, reached = progress.chain.identity, (len(progress.manifests), progress.failed)
+            if reached != mirrored.get(chain, (0, None)):
+                with contextlib.suppress(PuddleError, OSError):  # the driver finds out when it needs the file
+                    trials.append(self._trial(stage, progress, progress.manifests[: reached[0]]))
+                    mirrored[chain] = reached
+        self._tracker.mirror(self._study, Run(stage.name, stage.name), trials)
 
-        def update() -> None:
-            grown = []
-            for progress in chains if stage.curves else ():
-                chain, parts = progress.chain, tuple(progress.manifests)
-                if len(parts) > n_mirrored[chain.identity]:
-                    with contextlib.suppress(PuddleError, OSError):  # the driver finds out when it needs the file
-                        summary = None
-                        if len(parts) == chain.n_items and stage.summarise_trial:
-                            summary = stage.summarise_trial(self._store, chain.identity, parts)
-                        grown.append(self._trial(stage, chain.identity, parts, chain.n_items, summary))
-                        n_mirrored[chain.identity] = len(parts)
-            self._tracker.mirror(self._study, Run(stage.name, stage.name), grown)
-
-        self._update = update
-        self._work.put(update)
-        try:
-            yield
-        finally:
-            self._update = lambda: None
-
-    def finish(self, stage: AnyStage, upstream: Upstream, summary: Summary, *, is_last: bool) -> None:
-        """Mirror a stage that has ended.
-
-        Args:
-            stage: the stage.
-            upstream: its results, and those of the stages before it.
-            summary: its results in short.
-            is_last: whether it is the last stage of the study.
-        """
-        results = upstream[stage.name]
+    def finish(self, stage: AnyStage, results: Results, summary: Summary, *, is_last: bool) -> None:
+        """Mirror a stage that has ended, with its results in short; ``is_last`` if the study has ended too."""
+        self._work.put(self._update)
+        self._update = lambda: None
         study = replace(self._study, status="FINISHED" if is_last else None)
         run = Run(
             stage.name,
@@ -128,44 +110,31 @@ class StudyMirror:
         if summary.of_study:
             study = replace(study, metrics=summary.metrics, artifacts=run.artifacts)
             run = replace(run, artifacts={})
-        trials = []
-        for one in summary.trials:
-            parts = results.done[one.chain]
-            trials.append(self._trial(stage, one.chain, parts, len(parts), one))
-        for chain, why in results.failed.items() if stage.curves else ():
-            trials.append(replace(self._trial(stage, chain, (), 1), tags={"failure": str(why)}, status="FAILED"))
-        self._work.put(partial(self._tracker.mirror, study, run, trials))
+        self._work.put(partial(self._tracker.mirror, study, run))
         for trial, films in summary.films.items():
             film = Run(trial.label, trial.label, artifacts=_in_folders(films))
             self._work.put(partial(self._tracker.mirror, study, Run(trial.stage, trial.stage), [film]))
 
-    def _trial(
-        self,
-        stage: AnyStage,
-        chain: ChainId,
-        parts: Sequence[Manifest],
-        n_items: int,
-        summary: TrialSummary | None = None,
-    ) -> Run:
-        """Describe a chain of some items as far as it is done; with a summary if it is complete."""
+    def _trial(self, stage: AnyStage, progress: ChainProgress, parts: Sequence[Manifest]) -> Run:
+        """Describe a chain as far as it is done."""
         assert stage.curves is not None
+        chain, n_items = progress.chain.identity, progress.chain.n_items
         params: dict[str, str | int | float] = {}
         if isinstance(chain, TrialId):
             params = {"environment": chain.environment, "depth": chain.depth, "trial": chain.index}
+        tags = {name: f"{value:g}" if name == "depth" else str(value) for name, value in params.items()}
         n_points = -(-_POINTS_OF_A_CURVE // n_items)
-        return Run(
-            name=chain.label,
-            key=chain.label,
-            params=params,
-            metrics=summary.metrics if summary else {},
-            curves=[
-                CurvePart(part.digest, partial(_thinned, partial(stage.curves, self._store, part), n_points))
-                for part in parts
-            ],
-            tags={name: f"{value:g}" if name == "depth" else str(value) for name, value in params.items()},
-            artifacts=summary.artifacts if summary else {},
-            status="FINISHED" if summary else None,
-        )
+        curves = [
+            CurvePart(part.digest, partial(_thinned, partial(stage.curves, self._store, part), n_points))
+            for part in parts
+        ]
+        run = Run(name=chain.label, key=chain.label, params=params, curves=curves, tags=tags)
+        if progress.failed is not None:
+            return replace(run, tags={**tags, "failure": str(progress.failed)}, status="FAILED")
+        if len(parts) < n_items:
+            return run
+        summary = stage.summarise_trial(self._store, chain, parts)
+        return replace(run, metrics=summary.metrics, artifacts=summary.artifacts, status="FINISHED")
 
 
 def _thinned(read: Callable[[], CurvePoints], n_points: int) -> CurvePoints:

@@ -12,7 +12,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.dispatcher import run_stage
+from pipeline.workflow.dispatcher import Dispatcher
 from pipeline.workflow.graph import StageRun, results_of
 from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import AnyStage, Files, Inputs, Item, Results
@@ -86,7 +86,7 @@ def run(
     for stage in stages:
         stage_run = StageRun(stage, settings, upstream, store, say)
         chains = stage_run.chains()
-        run_stage(stage_run, chains, cluster=cluster, advance=ignored)
+        Dispatcher(stage_run, cluster, ignored).run(chains)
         upstream[stage.name] = results_of(stage, chains)
     return upstream
 
