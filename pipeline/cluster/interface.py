@@ -1,6 +1,5 @@
 """The interface of a cluster: submit pure functions, collect their outcomes."""
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -66,7 +65,7 @@ class Cluster(Protocol):
             n_cores: cores that the call occupies. A function that only waits for its own :class:`Spread` takes 0;
                 each such call is a process, so the caller limits their number by memory.
             n_gpus: GPUs that the call occupies.
-            name: shown in messages; by default the function's name.
+            name: shown in messages.
         """
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
@@ -81,9 +80,3 @@ def failure(name: str, cause: BaseException) -> TaskFailed:
     failed = TaskFailed(name, str(cause) if isinstance(cause, TaskFailed) else f"{type(cause).__name__}: {cause}")
     failed.__cause__ = cause
     return failed
-
-
-def name_of(function: Callable[..., Any]) -> str:
-    """Return a display name for a call that was submitted without one."""
-    inner = function.func if isinstance(function, functools.partial) else function
-    return str(getattr(inner, "__qualname__", type(inner).__name__))

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.cluster.interface import Cluster, Done, Outcome, TaskFailed, Ticket, failure, name_of
+from pipeline.cluster.interface import Cluster, Done, Outcome, TaskFailed, Ticket, failure
 from pipeline.cluster.process import PINNED_THREADS, end_at_once, ended_by_signals, number_of_cores, signals_unwind
 from pipeline.errors import PuddleError
 
@@ -115,7 +115,7 @@ class _Ray:
     def submit(
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
-        ticket = Ticket(next(self._numbers), name or name_of(function))
+        ticket = Ticket(next(self._numbers), name or repr(function))
         reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *args)
         self._running[reference] = ticket
         return ticket
@@ -191,23 +191,16 @@ def _existing(address: str) -> Iterator[_Ray]:
     what = f"cannot use the Ray cluster at {address}"
     os.environ.update(_ENVIRONMENT)
     if address != "auto":
-        server = _server_of(address, what, advice)
+        host, _, port = address.rpartition(":")
         try:
-            socket.create_connection(server, timeout=15.0).close()
-        except OSError as error:
-            raise PuddleError(f"{what}: nothing answers there ({error})\n{advice}") from error
+            socket.create_connection((host, int(port)), timeout=15.0).close()
+        except (OSError, OverflowError, ValueError) as error:
+            raise PuddleError(f"{what}: expected host:port where one answers, or auto ({error})\n{advice}") from error
     packages = [_folder_of(package) for package in _PACKAGES]
     with _joined(
         what, advice, Path("/"), address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages}
     ):
         yield _Ray(lambda: True, _UNREACHABLE.format(address=address))
-
-
-def _server_of(address: str, what: str, advice: str) -> tuple[str, int]:
-    host, _, port = address.rpartition(":")
-    if not host or "/" in host or not port.isdecimal() or int(port) >= 2**16:
-        raise PuddleError(f"{what}: expected host:port or auto\n{advice}")
-    return host, int(port)
 
 
 @contextlib.contextmanager
@@ -274,13 +267,12 @@ class Spread:
         """
         if not _in_ray_worker():
             return [self._function(item, *self._shared) for item in items]
-        name = name_of(self._function)
-        remote = _remote_call(1.0, name)
+        remote = _remote_call(1.0, repr(self._function))
         references = [remote.remote(self._function, item, *self._stored) for item in items]
         results: list[Any] = []
         try:
             for index, reference in enumerate(references):
-                outcome = _outcome(f"{name}, item {index}", reference)
+                outcome = _outcome(f"item {index}", reference)
                 if isinstance(outcome, TaskFailed):
                     raise outcome
                 results.append(outcome.result)

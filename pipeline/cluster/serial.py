@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from pipeline.cluster.interface import Cluster, Done, Outcome, Ticket, failure, name_of
+from pipeline.cluster.interface import Cluster, Done, Outcome, Ticket, failure
 from pipeline.cluster.process import signals_unwind
 
 
@@ -41,7 +41,7 @@ class _Serial:
         n_gpus: float = 0.0,  # noqa: ARG002
         name: str = "",
     ) -> Ticket:
-        ticket = Ticket(next(self._numbers), name or name_of(function))
+        ticket = Ticket(next(self._numbers), name or repr(function))
         self._waiting.append((ticket, function, args))
         return ticket
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pipeline.errors import PuddleError
 from pipeline.store import disk
-from pipeline.store.encoding import Json, check_format, decode_json, encode_json
+from pipeline.store.encoding import Json, decode_document, encode_document
 
 
 @dataclass
@@ -53,9 +53,8 @@ class FolderKind:
         """Return the SHA-256 of every file that an earlier run wrote, by name."""
         source = folder / self.manifest
         if source.is_file():
-            document = decode_json(source.read_bytes(), str(source))
-            check_format(document, schema=self.schema, version=self.version, source=str(source))
-            return dict(document["files"])
+            found = source.read_bytes()
+            return dict(decode_document(found, schema=self.schema, version=self.version, source=str(source))["files"])
         if not folder.parent.is_dir() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
             found = "a file" if folder.is_file() else f"no {source if folder.exists() else folder.parent}"
             expected = f"expected a new folder or {self.word}"
@@ -67,14 +66,11 @@ class FolderKind:
         """Write files beside a folder, then move them into it, its manifest last.
 
         Args:
-            folder: where they will be.
+            folder: where they will be; PuddleError if it can't be used.
             manifest: content of its manifest, without the digests of the files.
 
         Yields:
             The new folder; its files are put in place when the block ends without an error.
-
-        Raises:
-            PuddleError: the place can't be used.
         """
         folder = self.check_place(folder)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside:
@@ -94,5 +90,5 @@ class FolderKind:
                     disk.rename(new.path / name, path)
                 else:
                     disk.unlink(path)
-            whole: dict[str, Json] = {**manifest, "schema": self.schema, "version": self.version, "files": digests}
-            disk.place(folder / self.manifest, encode_json(whole))
+            whole = encode_document({**manifest, "files": digests}, schema=self.schema, version=self.version)
+            disk.place(folder / self.manifest, whole)

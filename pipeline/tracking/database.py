@@ -28,17 +28,8 @@ _SECONDS_TO_ANSWER = 3.0  # time for a server to answer before it counts as unre
 
 
 def database_uri(store: Path) -> str:
-    """Return the URI of a store's own MLflow database; refuse a path that MLflow would read as another one."""
-    from sqlalchemy import make_url  # installed with MLflow
-
-    database = str(store.resolve() / "mlflow.db")
-    uri = f"sqlite:///{database}"  # not escaped, because MLflow creates the folder of the path as it stands
-    if make_url(uri).database != database or not database.isprintable():  # bytes that are not text are not printable
-        raise PuddleError(
-            f"{store}: expected a path that MLflow accepts unchanged, got one with ?, % or bytes that are not text. "
-            f"Nothing was written elsewhere. Use a plainer path for the store, or your own MLflow with --tracking-uri."
-        )
-    return uri
+    """Return the URI of a store's own MLflow database."""
+    return f"sqlite:///{store.resolve() / 'mlflow.db'}"
 
 
 def artifacts_uri(store: Path) -> str:

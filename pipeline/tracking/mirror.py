@@ -33,13 +33,7 @@ class Tracker:
     """Mirrors studies to MLflow. It opens nothing until there is something to mirror."""
 
     def __init__(self, store: Path, uri: str | None = None, *, say: Callable[[str], None]) -> None:
-        """Prepare.
-
-        Args:
-            store: the store's folder, which holds the database and the artifacts unless a URI is given.
-            uri: URI of an MLflow server or database; defaults to MLFLOW_TRACKING_URI.
-            say: shows a line to the user.
-        """
+        """Prepare to use the database in a store's folder, or the MLflow of a URI, by default MLFLOW_TRACKING_URI."""
         self._store, self._say = store, say
         self._uri = uri or os.environ.get("MLFLOW_TRACKING_URI") or None
         self._warned = False

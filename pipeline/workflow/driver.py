@@ -48,10 +48,8 @@ def drive(
         settings: the study's settings.
         wanted: stages to run; the stages before them must be done, or wanted too.
         stages: all stages of a study, in order.
-        store: where results are committed.
+        store, tracker, progress: where results are committed, mirrored and announced.
         open_cluster: starts or joins the cluster.
-        tracker: mirrors runs to MLflow.
-        progress: shows progress to the user.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
         expected_seconds: returns about how long what is left of each stage takes on a number of cores [s].
 

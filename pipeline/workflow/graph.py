@@ -179,14 +179,9 @@ def survey(
     record: StudyRecord | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Survey:
-    """Return what the store holds of a study: recorded items by their keys, and others where its settings lead.
+    """Return what the store holds of a study's first stages.
 
-    Args:
-        settings: the study's settings.
-        stages: its first stages, in order.
-        store: where results are committed.
-        record: the record of its name; it counts if it is of these settings.
-        say: shows a line to the user, such as that an item is damaged.
+    Recorded items count by their keys, if the record is of these settings; others where the settings lead.
     """
     keys: dict[tuple[str, str], list[str]] = {}
     if record is not None and settings_of(record) == settings:
@@ -204,13 +199,9 @@ def survey(
 
 
 def discard_items(settings: Settings, names: Collection[str], stages: Sequence[AnyStage], store: Store) -> int:
-    """Discard what the store holds of some stages of a study, so that it is computed again; return how many items.
+    """Discard what the store holds of stages with some names, so that it is computed again; return how many items.
 
-    Args:
-        settings: the study's settings.
-        names: names of the stages.
-        stages: all stages of the study, in order.
-        store: where results are committed; the caller has locked it against drivers of studies.
+    The caller has locked the store against drivers of studies.
     """
     items = survey(settings, stages, store).items
     with contextlib.suppress(DamagedArtifact):
@@ -224,17 +215,7 @@ def discard_items(settings: Settings, names: Collection[str], stages: Sequence[A
 
 
 def require(settings: Settings, stage: AnyStage, stages: Sequence[AnyStage], upstream: Mapping[str, Results]) -> None:
-    """Refuse to start a stage if any result upstream is missing.
-
-    Args:
-        settings: the study's settings.
-        stage: the stage to start.
-        stages: all stages of the study, in order.
-        upstream: results of the stages before it.
-
-    Raises:
-        PuddleError: the message names the first stage to run, and what it lacks.
-    """
+    """Raise PuddleError if a stage lacks any result upstream; it names the first stage to run, and what it lacks."""
     needed = set(stage.reads(settings))
     for earlier in reversed(stages):
         if earlier.name in needed:

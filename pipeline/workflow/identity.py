@@ -47,11 +47,6 @@ class ChainId(Protocol):
         """Name for display, unique within the stage."""
 
 
-def item_label(chain: ChainId, index: int) -> str:
-    """Name an item of a chain, as the record of a study lists it."""
-    return f"{chain.label}#{index}"
-
-
 @dataclass(frozen=True)
 class Arm:
     """An environment at one depth: all its trials are samples of one distribution."""

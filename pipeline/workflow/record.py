@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
-from pipeline.workflow.identity import item_label
 from pipeline.workflow.stage import Upstream
 
 
@@ -19,14 +18,7 @@ class DrivenStudy:
     """The record of the study that this process drives: read once, then rewritten as its stages end."""
 
     def __init__(self, settings: Settings, store: Store, say: Callable[[str], None], source: str = "") -> None:
-        """Put the study's settings on record.
-
-        Args:
-            settings: the study's settings.
-            store: holds the record.
-            say: shows a line to the user.
-            source: where the settings come from: "preset laptop", or the path of a file.
-        """
+        """Put the study's settings on record; ``source`` is "preset laptop", or the path of the file they come from."""
         self._store = store
         self._record = StudyRecord(settings.name, settings.model_dump(mode="json"), (), source=source)
         try:
@@ -53,7 +45,7 @@ class DrivenStudy:
         for name, results in upstream.items():
             failed += [FailedChain(name, chain.label, str(why)) for chain, why in results.failed.items()]
             for chain, manifests in results.done.items():
-                items += [StudyItem(name, item_label(chain, i), manifest.key) for i, manifest in enumerate(manifests)]
+                items += [StudyItem(name, f"{chain.label}#{i}", manifest.key) for i, manifest in enumerate(manifests)]
         items += [item for item in self._record.items if item.stage not in upstream]
         failed += [chain for chain in self._record.failed if chain.stage not in upstream]
         self._record = replace(self._record, items=tuple(items), failed=tuple(failed))
@@ -96,12 +88,7 @@ def settings_of(record: StudyRecord) -> Settings:
 
 
 def setting_changes(old: Any, new: Any, name: str = "") -> list[tuple[str, Any, Any]]:
-    """Return the dotted name, the old and the new value of every setting that differs.
-
-    Args:
-        old, new: settings as JSON values.
-        name: name of the settings group, for nested groups.
-    """
+    """Return the dotted name, the old and the new value of every setting that differs, in JSON values of a group."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         names = [*new, *(gone for gone in old if gone not in new)]
         return [

@@ -41,14 +41,7 @@ class StudyMirror:
     """Mirrors one study on a thread of its own, so that MLflow costs the study no time."""
 
     def __init__(self, settings: Settings, store: Store, tracker: Tracker, *, source: str) -> None:
-        """Start the thread, which waits for work.
-
-        Args:
-            settings: the study's settings.
-            store: where its results are committed.
-            tracker: sends runs to MLflow.
-            source: where the settings come from: "preset laptop", or the path of a file.
-        """
+        """Start the thread, which waits for work; ``source`` tells where the settings come from, as in the record."""
         self._store, self._tracker = store, tracker
         chosen = settings.model_dump(mode="json")
         preset = preset_of(source) or Path(source).stem

@@ -5,7 +5,6 @@ import socket
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -92,10 +91,8 @@ def test_a_failure_is_an_outcome_and_the_rest_goes_on(cluster):
     assert isinstance(failed.__cause__, ZeroDivisionError)
 
 
-def test_nothing_submitted_is_nothing_due_and_a_call_is_named_after_its_function(cluster):
+def test_nothing_submitted_is_nothing_due(cluster):
     assert cluster.next_done(timeout=None) is None
-    assert cluster.submit(reciprocal, 1.0).name == cluster.submit(partial(reciprocal, 2.0)).name == "reciprocal"
-    outcomes(cluster)
 
 
 def test_spread_keeps_the_order_of_its_items_and_its_failure_is_the_tasks(cluster):
@@ -324,10 +321,9 @@ def test_what_is_no_address_of_a_cluster_is_refused_at_once(where: str):
     """``ray://`` is Ray Client's, which is not among what is installed."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))  # nothing answers there: Ray itself tries for minutes
-        said = "nothing answers there" if "{" in where else "expected host:port or auto"
         where = where.format(free=listener.getsockname()[1])
         begin = time.monotonic()
-        with pytest.raises(PuddleError, match=said) as refused, ray_cluster(where):
+        with pytest.raises(PuddleError, match="expected host:port where one answers") as refused, ray_cluster(where):
             pass
     assert time.monotonic() - begin < 20.0
     assert where in str(refused.value) and "--address" in str(refused.value)

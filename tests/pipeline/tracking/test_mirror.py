@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import os
 import shutil
 import socket
 import sqlite3
@@ -115,18 +114,6 @@ def test_a_study_its_stage_and_its_trials(tmp_path):
     assert curve(tmp_path, "trial 1") == dict(enumerate(CURVE + 1))
     artifacts = tmp_path / "mlartifacts" / stage.info.run_id / "artifacts"
     assert (artifacts / "figures" / "fitness.svg").read_bytes() == b"<svg/>"
-
-
-@pytest.mark.parametrize("name", ["what?", "a%3Fb", "q?x=1#y", os.fsdecode(b"st\xf6re"), "missing/store"])
-def test_a_store_that_mlflow_cannot_use_goes_without_a_mirror(tmp_path, name):
-    """In a URI, what follows ? is no part of the path, and %3F is a ?."""
-    store, said = tmp_path / name, []
-    if name != "missing/store":
-        store.mkdir()
-    Tracker(store, say=said.append).mirror(STUDY, STAGE)
-    (line,) = said
-    assert ("No such file" if "missing" in name else "expected a path that MLflow accepts") in line
-    assert "The study continues" in line and not list(tmp_path.rglob("mlflow.db"))
 
 
 @pytest.mark.parametrize("name", ["a#b", "a b", "größe"])

@@ -95,7 +95,7 @@ def test_batches_leave_no_core_without_work(tmp_path):
     ],
 )
 def test_trials_are_not_batched_where_lanes_are_full_or_missing_or_environments_differ(overrides, n_cores, tmp_path):
-    _, batches = _batched(tmp_path, *overrides, "rollout.n_measure=2", n_cores=n_cores)
+    _, batches = _batched(tmp_path, *overrides, "rollout.n_measure=3", n_cores=n_cores)
     assert {len(batch) for batch in batches} == {1}
 
 
