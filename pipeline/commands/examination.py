@@ -16,7 +16,6 @@ import psutil
 from pipeline.cluster.process import number_of_cores
 from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
-from pipeline.store import disk
 from pipeline.store.store import Store
 
 _CONSTRAINTS = Path(str(files("pipeline") / "constraints.txt"))  # package versions that were tested together
@@ -87,7 +86,7 @@ def _memory(n_workers: int) -> Check:
 
 def _disk(settings: Settings, store: Path) -> Check:
     """Compare the space that is free with what the rest of the study needs."""
-    root = disk.resolved(store)
+    root = store.expanduser().resolve()
     folder = next(path for path in (root, *root.parents) if path.exists())
     opened = Store.open(folder, create=False) if (folder / "store.json").exists() else None
     left = sum(stage.n_bytes for stage in forecast_stages(settings, opened))

@@ -139,9 +139,7 @@ class SettingsOptions:
 
     def find_store(self) -> Store | None:
         """Open the store if there is one."""
-        from pipeline.store import disk
-
-        return self.open_store() if (disk.resolved(self.store) / "store.json").exists() else None
+        return self.open_store() if (self.store.expanduser().resolve() / "store.json").exists() else None
 
     def command(self, name: str) -> str:
         """Return the command line that runs another command with the same options."""

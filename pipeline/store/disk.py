@@ -13,8 +13,11 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO, Any
 
 from pipeline.errors import PuddleError
+
+_SECONDS_TO_LOCK = 0.5  # a query holds a lock for an instant
 
 
 def write(path: Path, data: bytes) -> None:
@@ -95,11 +98,6 @@ def unused(path: Path) -> Path:
     return free
 
 
-def resolved(path: Path) -> Path:
-    """Return an absolute path without links, ``~`` being the user's home."""
-    return path.expanduser().resolve()
-
-
 def digest_of(path: Path) -> str:
     """Return a file's SHA-256 without reading it whole into memory."""
     with path.open("rb") as file:
@@ -107,40 +105,27 @@ def digest_of(path: Path) -> str:
 
 
 @contextlib.contextmanager
-def locked(
-    path: Path, *, seconds: float = 120.0, shared: bool = False, taken: Callable[[], str] | None = None
-) -> Iterator[int]:
-    """Hold a lock file, and yield its descriptor; it is released when the process ends.
+def locked(path: Path, *, shared: bool = False, taken: Callable[[], str] | None = None) -> Iterator[None]:
+    """Hold a lock file, alone unless it is shared; it is released when the process ends.
 
-    Args:
-        path: the lock file.
-        seconds: longest time to wait for other processes and threads [s]; a commit takes milliseconds.
-        shared: whether others may share it.
-        taken: returns what the error says if it is not that a process is stopped.
-
-    Raises:
-        PuddleError: another process still holds it, as one does that is stopped (Ctrl-Z).
+    This waits for others for as long as it takes, or, with ``taken``, half a second: then it raises PuddleError with
+    what that returns.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        end = time.monotonic() + seconds
-        while not try_lock(descriptor, shared=shared):
+    with path.open("ab") as file:
+        end = time.monotonic() + _SECONDS_TO_LOCK
+        while taken and not try_lock(file, shared=shared):
             if time.monotonic() >= end:
-                stopped = (
-                    f"{path} has been locked for {seconds:.0f} s by another process of puddle. Continue it if it is "
-                    f"stopped (fg), or end it. Committed results are safe: the same command resumes."
-                )
-                raise PuddleError(taken() if taken else stopped)
+                raise PuddleError(taken())
             time.sleep(0.01)
-        yield descriptor
-    finally:
-        os.close(descriptor)
+        if not taken:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
-def try_lock(descriptor: int, *, shared: bool) -> bool:
+def try_lock(file: IO[Any], *, shared: bool) -> bool:
     """Lock an open file, and return whether no other process holds it."""
     try:
-        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True

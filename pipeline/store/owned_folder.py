@@ -47,7 +47,7 @@ class FolderKind:
     def check_place(self, folder: Path) -> Path:
         """Return the resolved path of a folder that is new, empty or of this kind. Raises PuddleError for any other."""
         self._earlier(folder)
-        return disk.resolved(folder)
+        return folder.expanduser().resolve()
 
     def _earlier(self, folder: Path) -> Mapping[str, str]:
         """Return the SHA-256 of every file that an earlier run wrote, by name."""

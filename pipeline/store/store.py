@@ -39,7 +39,6 @@ STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."  # advice for a study's record
 _GONE_GROUPS = {"pilot"}  # settings of earlier versions, on which no result of today's stages depends
 
-_SECONDS_TO_LOCK = 0.5  # a query holds a lock for an instant
 _WAIT = "Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
 
 
@@ -77,7 +76,7 @@ class Store(Items):
     @classmethod
     def open(cls, root: Path, *, create: bool) -> Store:
         """Open a store, or create one in a new or empty folder."""
-        root = disk.resolved(root)
+        root = root.expanduser().resolve()
         path = root / "store.json"
         if not path.exists() and create:
             cls._create(root)
@@ -179,11 +178,12 @@ class Store(Items):
             return f"{self.root}: another process of puddle is removing items. Wait until it ends."
 
         folder = self.study_path(name)
-        with disk.locked(self.root / "use.lock", seconds=_SECONDS_TO_LOCK, shared=True, taken=removing):
+        with disk.locked(self.root / "use.lock", shared=True, taken=removing):
             disk.make_folders(folder)
-            with disk.locked(folder / "driver.lock", seconds=_SECONDS_TO_LOCK, taken=taken) as descriptor:
-                os.ftruncate(descriptor, 0)
-                os.write(descriptor, _signature())
+            with disk.locked(folder / "driver.lock", taken=taken):
+                started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+                signature = f"process {os.getpid()} on {platform.node()} since {started} ({' '.join(sys.argv)})"
+                (folder / "driver.lock").write_bytes(signature.encode(errors="replace"))
                 yield
 
     @contextlib.contextmanager
@@ -195,7 +195,7 @@ class Store(Items):
             driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
             return f"{self.root} is in use: {'; '.join(driven) or 'another process of puddle removes items'}. {_WAIT}"
 
-        with disk.locked(self.root / "use.lock", seconds=_SECONDS_TO_LOCK, taken=taken):
+        with disk.locked(self.root / "use.lock", taken=taken):
             yield
 
     def driver_of(self, name: str) -> str | None:
@@ -204,7 +204,7 @@ class Store(Items):
         if not path.exists():
             return None
         with path.open() as lock:
-            if disk.try_lock(lock.fileno(), shared=True):
+            if disk.try_lock(lock, shared=True):
                 return None
             return lock.read() or "another process, which has only just started"
 
@@ -231,9 +231,3 @@ class Store(Items):
 
 
 _RECORD = TypeAdapter(StudyRecord)
-
-
-def _signature() -> bytes:
-    started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    words = f"process {os.getpid()} on {platform.node()} since {started} ({' '.join(sys.argv)})"
-    return words.encode(errors="replace")

@@ -12,7 +12,6 @@ import pytest
 from one_item import FILES, IDENTITY, KEY, RECORD, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
-from pipeline.store import disk
 from pipeline.store.encoding import digest, encode_document
 from pipeline.store.store import Store, StudyItem, StudyRecord
 
@@ -191,12 +190,3 @@ def test_a_report_is_written_over_the_earlier_one(store: Store) -> None:
     (folder / "notes.txt").write_bytes(b"mine")
     store.export("laptop", {"index.html": b"new"})
     assert tree(folder) == {"index.html": b"new", "kept.svg": b"<svg/>", "notes.txt": b"mine"}
-
-
-def test_who_waits_for_a_lock_does_not_wait_for_ever(store: Store) -> None:
-    lock = store.root / "commit.lock"
-    refused = pytest.raises(PuddleError, match=rf"{lock} has been locked for 0 s by another process.*\(fg\), or end it")
-    with disk.locked(lock), refused, disk.locked(lock, seconds=0.1):
-        raise AssertionError("took the lock")
-    with disk.locked(lock, seconds=0.1):
-        pass
