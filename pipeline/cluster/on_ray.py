@@ -8,7 +8,6 @@ the loopback and is protected by a token that only this user can read; an existi
 
 import contextlib
 import functools
-import importlib.util
 import itertools
 import logging
 import math
@@ -35,7 +34,8 @@ _SHUTDOWN_SECONDS = 10.0  # time for Ray to end by itself [s]; a server that is 
 _CHECK_INTERVAL = 1.0  # time between two checks of Ray's servers [s]
 _SERVERS = ("gcs_server", "raylet")  # ray's names for the processes without which it is dead
 _SESSIONS_FOLDER = "/tmp"  # short, because the path of a Unix socket has at most 107 bytes; TMPDIR may be longer
-_PACKAGES = ("tasks", "pipeline")  # sent to the workers of an existing cluster, which need not have them on disk
+_ROOT = Path(__file__).resolve().parents[2]
+_PACKAGES = [str(_ROOT / name) for name in ("tasks", "pipeline")]  # sent to workers, which need not have them on disk
 
 _ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -160,7 +160,7 @@ def _local(n_workers: int) -> Iterator[_Ray]:
             with _joined(
                 "Ray did not start on this machine",
                 advice,
-                Path(_folder_of("pipeline")).parent,
+                _ROOT,
                 address="local",
                 num_cpus=n_workers,
                 object_store_memory=OBJECT_STORE_BYTES,
@@ -196,9 +196,8 @@ def _existing(address: str) -> Iterator[_Ray]:
             socket.create_connection((host, int(port)), timeout=15.0).close()
         except (OSError, OverflowError, ValueError) as error:
             raise PuddleError(f"{what}: expected host:port where one answers, or auto ({error})\n{advice}") from error
-    packages = [_folder_of(package) for package in _PACKAGES]
     with _joined(
-        what, advice, Path("/"), address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages}
+        what, advice, Path("/"), address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": _PACKAGES}
     ):
         yield _Ray(lambda: True, _UNREACHABLE.format(address=address))
 
@@ -233,12 +232,6 @@ def _deadline(seconds: float, late: Callable[[], object]) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
-
-
-def _folder_of(package: str) -> str:
-    specification = importlib.util.find_spec(package)
-    assert specification is not None and specification.submodule_search_locations
-    return str(Path(specification.submodule_search_locations[0]).resolve())
 
 
 class Spread:

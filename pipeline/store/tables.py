@@ -1,15 +1,14 @@
 """Tables: rows of a frozen dataclass as columns, for Parquet and CSV, and columns as rows again.
 
 The Parquet files of this project hold no nulls. A missing number is NaN, a missing text is empty, and a column beside
-it gives the reason. A nested dataclass, such as an Estimate, is laid out flat: ``slope``, ``slope_low``,
-``slope_high``, ``slope_reason``. A nested field with ``metadata={"prefix": False}`` keeps the names of its columns.
+it gives the reason. A nested dataclass, such as an Estimate, is laid out flat: ``slope``, ``slope_low``, and so on.
 """
 
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import Field, fields, is_dataclass
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -19,20 +18,14 @@ Row = TypeVar("Row")
 
 
 def columns_of(kind: type[Row], rows: Sequence[Row]) -> Columns:
-    """Lay out rows as columns, with the right types even if there are no rows.
-
-    Fields are numbers, flags, texts, tuples of texts, tuples of equally many numbers, or dataclasses of these.
-    """
+    """Lay out rows of numbers, flags, texts and dataclasses of these, with the right types even if there are none."""
     columns: Columns = {}
     for field, field_type in _typed_fields(kind):
         values = [getattr(row, field.name) for row in rows]
         if _is_nested(field_type):
-            own = {_column_name(field, name): column for name, column in columns_of(field_type, values).items()}
+            columns |= {_column_name(field, name): column for name, column in columns_of(field_type, values).items()}
         else:
-            own = {field.name: _column(field_type, values)}
-        if taken := own.keys() & columns.keys():
-            raise ValueError(f"{kind.__name__}.{field.name} has the columns {sorted(taken)} of an earlier field")
-        columns |= own
+            columns[field.name] = _column(field_type, values)
     return columns
 
 
@@ -70,17 +63,11 @@ def _is_nested(field_type: Any) -> bool:  # not a TypeGuard, as is_dataclass is
 
 
 def _column_name(field: Field[Any], name: str) -> str:
-    if name == "value":
-        return field.name
-    return f"{field.name}_{name}" if field.metadata.get("prefix", True) else name
+    return field.name if name == "value" else f"{field.name}_{name}"
 
 
 def _column(field_type: Any, values: Sequence[Any]) -> npt.NDArray[Any]:
     choices = {field_type, *get_args(field_type)}
-    if get_origin(field_type) is tuple and Ellipsis in choices:  # Parquet needs a width, even where there are no rows
-        return np.array(values or np.empty((0, 1)), dtype=np.float64 if float in choices else np.int64)
-    if get_origin(field_type) is tuple:
-        return text(["/".join(value) for value in values])
     if float in choices:
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     if bool in choices or int in choices:
@@ -89,8 +76,6 @@ def _column(field_type: Any, values: Sequence[Any]) -> npt.NDArray[Any]:
 
 
 def _value(field_type: Any, value: Any) -> Any:
-    if get_origin(field_type) is tuple:
-        return tuple(value if isinstance(value, list) else value.split("/"))
     missing = value == "" or value != value
     return None if missing and type(None) in get_args(field_type) else value
 

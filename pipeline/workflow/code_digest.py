@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
-import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,15 +26,10 @@ Sources = Mapping[str, bytes]  # content of modules, by name
 @functools.cache
 def sources() -> Sources:
     """Read the modules of the packages that make results."""
-    found = {}
-    for package in PACKAGES:
-        specification = importlib.util.find_spec(package)
-        assert specification is not None and specification.submodule_search_locations
-        folder = Path(specification.submodule_search_locations[0])
-        for path in sorted(folder.rglob("*.py")):
-            parts = path.relative_to(folder).with_suffix("").parts
-            found[".".join([package, *(part for part in parts if part != "__init__")])] = path.read_bytes()
-    return found
+    root = Path(__file__).resolve().parents[2]
+    paths = [path for package in PACKAGES for path in root.joinpath(*package.split(".")).rglob("*.py")]
+    names = [".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__") for path in paths]
+    return {name: path.read_bytes() for name, path in zip(names, paths, strict=True)}
 
 
 @functools.cache

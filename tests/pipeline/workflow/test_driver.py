@@ -102,8 +102,11 @@ def test_other_settings_of_a_name_replace_its_record_and_say_so(store: Store) ->
 
 @pytest.mark.parametrize("source", ["preset tiny", "/studies/tiny.yaml"])
 def test_a_study_has_the_tag_of_its_settings(store: Store, source) -> None:
+    tags = set[str]()
+
     class Recorder(Terminal):
-        def mirror(self, study, stage, trials) -> None:
-            assert study.tags["preset"] == "tiny"
+        def mirror(self, study, *runs) -> None:
+            tags.add(study.tags["preset"])
 
     run(store, TO_EVOLVE[:1], terminal=Recorder(), source=source)
+    assert tags == {"tiny"}
