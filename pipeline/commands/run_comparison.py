@@ -20,7 +20,7 @@ from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk
 from pipeline.store.design_file import read_design
 from pipeline.store.encoding import decode_document
-from pipeline.store.track_file import read_track_columns, track_table
+from pipeline.store.track_file import read_track_table
 from pipeline.vision.markers_file import Markers
 from pipeline.vision.track_video import TrackOptions, follow
 from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, compare_with_simulation
@@ -127,7 +127,7 @@ def _link_paths(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
 
 
 def _read_tracks(path: Path) -> dict[int, LinkPath]:
-    rows = track_table(read_track_columns(path.read_bytes(), str(path)), str(path))
+    rows, _ = read_track_table(path.read_bytes(), str(path))
     table = np.column_stack((rows.throw, rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
         raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")

@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import digest, encode_json
-from pipeline.store.track_file import TrackColumns, bars_of, has_bars, read_track_columns, track_table
+from pipeline.store.track_file import read_bars, read_track_table
 from pipeline.workflow.identity import InputName
-from pipeline.workflow.stage import Files, Inputs, OutsideFile
+from pipeline.workflow.stage import Inputs, OutsideFile
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable
 from tasks.tracks.bars import TrackedBarError
 from tasks.tracks.free_fall import Fall, falls_oddly
@@ -49,9 +49,9 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
         return settings
     path = Path(tracks.file).expanduser().resolve()
     content = path.read_bytes()
-    columns = read_track_columns(content, str(path))
-    numbers = set(track_table(columns, str(path)).throw.tolist())
-    bars_path = _bars_path(tracks, path, columns)
+    table, bars_beside = read_track_table(content, str(path))
+    numbers = set(table.throw.tolist())
+    bars_path = _bars_path(tracks, path, in_rows=bars_beside is not None)
     changes = {
         "tracks": tracks.model_copy(
             update={
@@ -69,11 +69,11 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
         raise PuddleError("; ".join(found["msg"].removeprefix("Value error, ") for found in error.errors())) from None
 
 
-def _bars_path(tracks: Tracks, path: Path, columns: TrackColumns) -> Path | None:
-    """Return the file of bars; None if the tracks have their columns."""
+def _bars_path(tracks: Tracks, path: Path, *, in_rows: bool) -> Path | None:
+    """Return the file of bars; None if the rows of tracks state them."""
     if tracks.bars is not None:
         return Path(tracks.bars).expanduser().resolve()
-    if has_bars(columns):
+    if in_rows:
         return None
     beside = path.with_name(f"{path.stem}-bars.csv")
     if not beside.is_file():
@@ -114,10 +114,11 @@ def read_tracks(inputs: Inputs) -> ReadTracks:
         PuddleError: they are not a tracks file.
     """
     ((name, content),) = inputs[TRACKED].items()
-    columns = read_track_columns(content, name)
-    of_bars: Files = inputs.get(BARS, {})
-    bars = [bars_of(read_track_columns(data, file), file) for file, data in of_bars.items()]
-    return ReadTracks(name, track_table(columns, name), bars[0] if bars else bars_of(columns, name))
+    table, bars = read_track_table(content, name)
+    for file, data in inputs.get(BARS, {}).items():
+        bars = read_bars(data, file)
+    assert bars is not None  # as with_tracks has checked
+    return ReadTracks(name, table, bars)
 
 
 def check_tracks(settings: Settings) -> Paths | None:

@@ -53,8 +53,8 @@ class FolderKind:
         """Return the SHA-256 of every file that an earlier run wrote, by name."""
         source = folder / self.manifest
         if source.is_file():
-            found = source.read_bytes()
-            return dict(decode_document(found, schema=self.schema, version=self.version, source=str(source))["files"])
+            data = source.read_bytes()
+            return dict(decode_document(data, schema=self.schema, version=self.version, source=str(source))["files"])
         if not folder.parent.is_dir() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
             found = "a file" if folder.is_file() else f"no {source if folder.exists() else folder.parent}"
             expected = f"expected a new folder or {self.word}"

@@ -21,19 +21,34 @@ DEVIATION_COLUMNS = ("x_sd", "y_sd", "angle_sd")
 BAR_COLUMNS = ("length", "width", "mass")
 _KNOWN = (*TRACK_COLUMNS, *DEVIATION_COLUMNS, *BAR_COLUMNS)
 
-TrackColumns = Mapping[str, Float64]
 
-
-def read_track_columns(content: bytes, name: str) -> TrackColumns:
-    """Return the columns of a tracks file or a file of bars, as numbers.
+def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None]:
+    """Return the tracks in a file, and the bars if its rows state them.
 
     Args:
         content: CSV with a line of names, or Parquet.
         name: the file's name in messages.
 
     Raises:
-        PuddleError: it is neither, or a cell is not a number; the message names the line or the column.
+        PuddleError: it is neither, a column is missing, or a cell is not a number; the message names line or column.
     """
+    columns = _read_columns(content, name)
+    has_deviations = any(column in columns for column in DEVIATION_COLUMNS)
+    _require(columns, (*TRACK_COLUMNS, *(DEVIATION_COLUMNS if has_deviations else ())), name)
+    table = TrackTable(
+        _throws(columns["throw"], name),
+        *(columns[column] for column in TRACK_COLUMNS[1:]),
+        *(columns.get(column) for column in DEVIATION_COLUMNS),
+    )
+    return table, _bars(columns, name) if all(column in columns for column in BAR_COLUMNS) else None
+
+
+def read_bars(content: bytes, name: str) -> Bars:
+    """Return the bar of each throw in a file; raise PuddleError as above, or if a throw has several bars."""
+    return _bars(_read_columns(content, name), name)
+
+
+def _read_columns(content: bytes, name: str) -> Mapping[str, Float64]:
     try:
         table = read_parquet(content) if content[:4] == b"PAR1" else _read_csv(content)
         columns = {
@@ -58,24 +73,7 @@ def _read_csv(content: bytes) -> pa.Table:
     )
 
 
-def track_table(columns: TrackColumns, name: str) -> TrackTable:
-    """Return the tracks among columns; raise PuddleError if a column is missing."""
-    has_deviations = any(column in columns for column in DEVIATION_COLUMNS)
-    _require(columns, (*TRACK_COLUMNS, *(DEVIATION_COLUMNS if has_deviations else ())), name)
-    return TrackTable(
-        _throws(columns["throw"], name),
-        *(columns[column] for column in TRACK_COLUMNS[1:]),
-        *(columns.get(column) for column in DEVIATION_COLUMNS),
-    )
-
-
-def has_bars(columns: TrackColumns) -> bool:
-    """Return whether a tracks file states the bars in its rows."""
-    return all(column in columns for column in BAR_COLUMNS)
-
-
-def bars_of(columns: TrackColumns, name: str) -> Bars:
-    """Return the bar of each throw; raise PuddleError if a column is missing, or a throw has several bars."""
+def _bars(columns: Mapping[str, Float64], name: str) -> Bars:
     _require(columns, ("throw", *BAR_COLUMNS), name)
     throw = _throws(columns["throw"], name)
     numbers, first, throw_of_row = np.unique(throw, return_index=True, return_inverse=True)

@@ -1,34 +1,31 @@
 """Tracks files: what is read of CSV and Parquet, and what is refused."""
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.store.track_file import bars_of, has_bars, read_track_columns, track_table
+from pipeline.store.track_file import read_bars, read_track_table
 
 CSV = b"\xef\xbb\xbfthrow, time ,x,y,angle,note\n3,0,0.1,-0.2,0.5,a\n\n3,0.5,0.2,-0.3,0.6,b\n"
 
 
 def test_csv_and_parquet_give_the_same_columns() -> None:
-    from_csv = read_track_columns(CSV, "a.csv")
-    assert list(from_csv) == ["throw", "time", "x", "y", "angle"]
-    table = pa.table({name: pa.array(of) for name, of in from_csv.items()} | {"note": ["a", "b"]})
+    columns = {"throw": [3, 3], "time": [0, 0.5], "x": [0.1, 0.2], "y": [-0.2, -0.3], "angle": [0.5, 0.6]}
     sink = pa.BufferOutputStream()
-    pq.write_table(table, sink)
-    from_parquet = read_track_columns(bytes(sink.getvalue()), "a.parquet")
-    for name, of in from_csv.items():
-        np.testing.assert_array_equal(from_parquet[name], of)
-    read = track_table(from_csv, "a.csv")
-    assert read.throw.tolist() == [3, 3] and read.angle.tolist() == [0.5, 0.6] and read.x_sd is None
+    pq.write_table(pa.table(columns | {"note": ["a", "b"]}), sink)
+    for content, name in ((CSV, "a.csv"), (bytes(sink.getvalue()), "a.parquet")):
+        read, bars = read_track_table(content, name)
+        assert {column: getattr(read, column).tolist() for column in columns} == columns
+        assert read.x_sd is None and bars is None
 
 
 def test_deviations_and_bars_may_be_columns() -> None:
     line = b"throw,time,x,y,angle,x_sd,y_sd,angle_sd,length,width,mass\n"
-    columns = read_track_columns(line + b"1,0,0,0,0,1,2,3,0.07,0.07,0.1\n1,1,0,0,0,1,2,3,0.07,0.07,0.1\n", "a.csv")
-    assert track_table(columns, "a.csv").angle_sd.tolist() == [3, 3]
-    assert has_bars(columns) and bars_of(columns, "a.csv").length.tolist() == [0.07]
+    content = line + b"1,0,0,0,0,1,2,3,0.07,0.07,0.1\n1,1,0,0,0,1,2,3,0.07,0.07,0.1\n"
+    table, bars = read_track_table(content, "a.csv")
+    assert table.angle_sd.tolist() == [3, 3]
+    assert bars.length.tolist() == read_bars(content, "a.csv").length.tolist() == [0.07]
 
 
 @pytest.mark.parametrize(
@@ -50,10 +47,10 @@ def test_deviations_and_bars_may_be_columns() -> None:
 )
 def test_what_is_refused(content: bytes, message: str) -> None:
     with pytest.raises(PuddleError, match=message):
-        track_table(read_track_columns(content, "a.csv"), "a.csv")
+        read_track_table(content, "a.csv")
 
 
 def test_bars_that_change_within_a_throw_are_refused() -> None:
     rows = b"throw,length,width,mass\n1,0.07,0.07,0.1\n1,0.14,0.035,0.1\n"
     with pytest.raises(PuddleError, match=r"throw 1: length is 0\.14 and 0\.07: expected one bar for each throw"):
-        bars_of(read_track_columns(rows, "bars.csv"), "bars.csv")
+        read_bars(rows, "bars.csv")
