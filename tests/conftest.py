@@ -24,7 +24,7 @@ from pipeline.cluster import Cluster, ray_cluster
 from pipeline.cluster.on_ray import LOCAL_ENVIRONMENT
 from tasks.design import N_LINKS, Designs
 
-hypothesis.settings.register_profile("puddle", deadline=None)  # an example may compile a kernel, or wait for a core
+hypothesis.settings.register_profile("puddle", deadline=None, max_examples=50)  # an example may compile a kernel
 hypothesis.settings.load_profile("puddle")
 
 os.environ.update(LOCAL_ENVIRONMENT)  # ray reads it on import, which a test may do before the first cluster

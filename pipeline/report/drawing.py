@@ -8,7 +8,8 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -64,8 +65,17 @@ class Drawing:
     title: str
     description: str  # the caption, which is also the text for readers who cannot see the figure
     svg: bytes
-    png: bytes  # the figure on white, 300 dots per inch
-    pdf: bytes  # for print
+    figure: Figure = field(repr=False, compare=False)
+
+    @cached_property
+    def png(self) -> bytes:
+        """The figure on white, 300 dots per inch; encoded when asked for, as is the PDF: few figures need both."""
+        return _encoded(self.figure, "png", dpi=300, facecolor="white", metadata={"Software": None})
+
+    @cached_property
+    def pdf(self) -> bytes:
+        """The figure for print."""
+        return _encoded(self.figure, "pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
 
 
 @dataclass(frozen=True)
@@ -87,7 +97,7 @@ def _figure_style() -> AbstractContextManager[None]:
 
 
 def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Drawing | Missing:
-    """Return a figure, encoded, or the reason why there is none.
+    """Return a figure, or the reason why there is none.
 
     Args:
         name: name of the figure, used for its files and its id on the page.
@@ -100,11 +110,14 @@ def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Dra
         except NothingToDraw as nothing:
             return Missing(name=name, title=title, reason=str(nothing))
         _fix_layout(figure)
-        svg, png, pdf = io.BytesIO(), io.BytesIO(), io.BytesIO()
-        figure.savefig(svg, format="svg", metadata=_NO_METADATA)
-        figure.savefig(png, format="png", dpi=300, facecolor="white", metadata={"Software": None})
-        figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
-    return Drawing(name, title, description, _round_paths(svg.getvalue()), png.getvalue(), pdf.getvalue())
+    return Drawing(name, title, description, _round_paths(_encoded(figure, "svg", metadata=_NO_METADATA)), figure)
+
+
+def _encoded(figure: Figure, kind: str, **options: Any) -> bytes:
+    out = io.BytesIO()
+    with _figure_style():
+        figure.savefig(out, format=kind, **options)
+    return out.getvalue()
 
 
 def _fix_layout(figure: Figure) -> None:

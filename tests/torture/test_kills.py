@@ -34,9 +34,9 @@ STUDY = parse(
     Settings,
     ON_DRY_LAND,
     name="kills",
-    overrides=("grid.n_trials=6", "rollout.n_measure=100", "evolution={n_generations: 10, afpo: {population_size: 6}}"),
+    overrides=("grid.n_trials=4", "rollout.n_measure=100", "evolution={n_generations: 6, afpo: {population_size: 6}}"),
 )
-"""A study of about sixty work items of up to 0.1 s."""
+"""A study of about thirty work items of up to 0.1 s."""
 
 DRIVER = """
 import sys

@@ -216,23 +216,8 @@ with ray_cluster(sys.argv[1]) as cluster:
     assert float(n_cores) == 2.0
 
 
-def test_workers_import_nothing_from_the_folder_where_a_user_works(tmp_path):
-    driver = """
-from pipeline.cluster import prepare_process, ray_cluster
-prepare_process()
-with ray_cluster(n_workers=1) as cluster:
-    cluster.submit(len, "three")
-    assert cluster.next_done()[1].result == 5
-"""
-    for name in ("tasks.py", "pipeline.py"):
-        (tmp_path / name).write_text("raise ImportError('this is a file of the user')")
-    words = [sys.executable, "-P", "-c", driver]  # without the working folder, as the command `puddle` starts
-    ran = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=200)
-    assert ran.returncode == 0, ran.stderr
-
-
-def test_under_uv_run_workers_have_the_environment_that_the_driver_has(tmp_path):
-    """Ray would start them by `uv run`, which builds the environment anew: it looks for a process that is named so."""
+def test_workers_have_the_driver_s_environment_and_nothing_of_the_folder_where_a_user_works(tmp_path):
+    """Under `uv run`, too: Ray looks for a process of that name, and would have each worker build the environment."""
     driver = """
 import sys
 from pipeline.cluster import prepare_process, ray_cluster
@@ -243,12 +228,11 @@ with ray_cluster(n_workers=1) as cluster:
 from ray._private.runtime_env.uv_runtime_env_hook import hook
 assert hook({"working_dir": "/"})["py_executable"].startswith("uv run --no-sync")
 """
+    for name in ("tasks.py", "pipeline.py"):
+        (tmp_path / name).write_text("raise ImportError('this is a file of the user')")
     (tmp_path / "run").write_text('shift\n"$@"\nexit $?\n')  # for the shell, whose name and first word are uv's
-    words = ["uv", "run", "--no-sync", sys.executable, "-c", driver]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    ran = subprocess.run(
-        words, executable="/bin/sh", cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200
-    )
+    words = ["uv", "run", "--no-sync", sys.executable, "-P", "-c", driver]  # -P: without the working folder, as `puddle`
+    ran = subprocess.run(words, executable="/bin/sh", cwd=tmp_path, capture_output=True, text=True, timeout=200)
     assert ran.returncode == 0, ran.stderr
 
 

@@ -61,25 +61,29 @@ def test_a_sound_robot_has_no_fault(kit):
         (swinging(pi), {}, "fault", "part 2 and part 3", "in the gait, with"),
         (AT_REST, {}, "fault", "part 2 and part 3", "Change rest_angle"),
         ({}, {"bed_mm": (40.0, 40.0, 20.0)}, "fault", "every part", "25 mm high, but the printer reaches only 20 mm"),
-        ({}, {"bed_mm": (40.0, 40.0, 20.0)}, "fault", "part 1", "No cut across a link"),
     ],
 )
 def test_a_finding(crane, genes, settings, severity, where, said):
-    findings = found(assemble(with_genes(crane, **genes), SETTINGS.model_copy(update=settings)), said)
+    robot = assemble(with_genes(crane, **genes), SETTINGS.model_copy(update=settings))
+    findings = found(robot, said)
     assert where in [finding.where for finding in findings] and {finding.severity for finding in findings} == {severity}
+    assert bool(found(robot, "No cut across a link")) == ("bed_mm" in settings)
 
 
-def test_walls_and_necks(crane):
+def test_walls_and_necks(crane, kit):
     # From an ear's screw, 28.3 / 2 from the servo's middle, to the case's opening, 22.8 / 2 + 0.3, less the pilot.
     wall = 28.3 / 2 - 22.8 / 2 - 0.3 - 0.85 * 2.0 / 2
     # Links 2 and 3 overlap in a square of 17.5: its diagonal, and twice what a fillet of radius 5 adds in its corners.
     neck = 17.5 * sqrt(2) + 2 * 5 * (sqrt(2) - 1)
-    for least, n in ((wall - 0.01, 0), (wall + 0.01, 2)):
-        robot = assemble(crane, SETTINGS.model_copy(update={"servo": "mg90s", "min_wall_mm": least}))
-        assert len(found(robot, f"{wall:.2f} mm between case")) == n
-    for least, n in ((neck - 0.3, 0), (neck + 0.3, 2)):
-        robot = assemble(crane, SETTINGS.model_copy(update={"min_neck_mm": least}))
-        assert len(found(robot, "at its narrowest")) == n
+    walled = assemble(crane, SETTINGS.model_copy(update={"servo": "mg90s"}))
+    for robot, limit, least, n, said in (
+        (walled, "min_wall_mm", wall - 0.01, 0, f"{wall:.2f} mm between case"),
+        (walled, "min_wall_mm", wall + 0.01, 2, f"{wall:.2f} mm between case"),
+        (kit, "min_neck_mm", neck - 0.3, 0, "at its narrowest"),
+        (kit, "min_neck_mm", neck + 0.3, 2, "at its narrowest"),
+    ):
+        limited = replace(robot, settings=robot.settings.model_copy(update={limit: least}))
+        assert len(found(limited, said)) == n
 
 
 def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane, kit):

@@ -12,7 +12,7 @@ from tasks.fabrication.parts import mesh_of
 from tasks.fabrication.servos import SERVOS
 
 SETTINGS = KitSettings()
-FEW, MANY = 2, 200
+FEW, MANY = 1, 200
 """Number of designs in `make test`, and with --torture."""
 
 

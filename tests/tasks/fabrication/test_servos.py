@@ -4,9 +4,10 @@ import pytest
 from build123d import GeomType
 from pydantic import ValidationError
 
-from tasks.fabrication.assembly import assemble
+from tasks.fabrication.built_bodies import mechanism_of
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import Gauge, gauges_of
+from tasks.fabrication.servo_joints import servo_joints_of
 from tasks.fabrication.servos import SERVOS, ServoError, as_measured
 
 EVERY_HORN = [(servo.name, horn.kind) for servo in SERVOS.values() for horn in servo.horns]
@@ -34,12 +35,11 @@ def floors(gauge: Gauge) -> list[float]:
 
 @pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
 def test_the_gauges_of_every_servo(crane, servo, horn):
-    settings = KitSettings(servo=servo, horn=horn)
-    kit = assemble(crane, settings)
-    gauges = gauges_of(kit.servo_joints, settings)
+    settings, case = KitSettings(servo=servo, horn=horn), as_measured(servo, horn, {})
+    gauges = gauges_of(servo_joints_of(mechanism_of(crane, settings), case, settings), settings)
     # The ears lie on one gauge's plate, so that the case's top is flush; the horn lies on the floor of the other. The
     # gap between both is that of the layers.
-    case, (plate, recess) = kit.servo, (floors(gauge) for gauge in gauges)
+    plate, recess = map(floors, gauges)
     assert plate[1] - plate[0] == pytest.approx(case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm)
     assert plate[2] - plate[1] == pytest.approx(3.0)  # of the pocket's rim
     assert case.horns[0].top_mm - (recess[2] - recess[1]) == pytest.approx(settings.layer_gap_mm)

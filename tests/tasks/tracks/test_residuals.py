@@ -33,9 +33,9 @@ def test_slow_bars_show_the_mediums_residual() -> None:
 
 def test_rollouts_find_spins_that_die_out_between_frames() -> None:
     """Fast bars lose most of their spin in the 3.8 steps between two frames, which a smoother takes for less drag."""
-    thrown = filmed(16)
+    thrown = filmed(8)
     smoothed, _ = residual_transitions(*thrown, PLAIN, PHYSICS)
-    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS)
+    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS, n_iterations=100)
     tracked = found[found.throw >= 0]
     assert (errors(tracked, slower_than=20.0) < (0.15, 0.1, 0.15)).all()
     assert errors(smoothed, slower_than=20.0)[2] > 0.4
@@ -43,7 +43,8 @@ def test_rollouts_find_spins_that_die_out_between_frames() -> None:
 
 
 def test_throws_in_the_fitted_medium_cover_what_was_not_thrown_with_their_uncertainty() -> None:
-    found, _ = residual_transitions(*filmed(16, noise_mm=0.3, noise_deg=0.3), Tracks(file="tracks.csv"), PHYSICS)
+    thrown = filmed(8, noise_mm=0.3, noise_deg=0.3)
+    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS, n_iterations=60)
     tracked, further = found[found.throw >= 0], found[found.throw < 0]
     links = FreeLinks(further.length_scale, PHYSICS)
     error = further.next_in_slush - links.step(further.state, Slush())
