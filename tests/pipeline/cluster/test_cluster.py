@@ -231,7 +231,7 @@ assert hook({"working_dir": "/"})["py_executable"].startswith("uv run --no-sync"
     for name in ("tasks.py", "pipeline.py"):
         (tmp_path / name).write_text("raise ImportError('this is a file of the user')")
     (tmp_path / "run").write_text('shift\n"$@"\nexit $?\n')  # for the shell, whose name and first word are uv's
-    words = ["uv", "run", "--no-sync", sys.executable, "-P", "-c", driver]  # -P: without the working folder, as `puddle`
+    words = ["uv", "run", "--no-sync", sys.executable, "-P", "-c", driver]  # -P: as the script `puddle`
     ran = subprocess.run(words, executable="/bin/sh", cwd=tmp_path, capture_output=True, text=True, timeout=200)
     assert ran.returncode == 0, ran.stderr
 

@@ -15,10 +15,11 @@ from command_line import call as called
 from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
 from pipeline.fabrication.kit_files import KIT, write_folder
+from pipeline.report.run_page import verdict
 from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_json
 from pipeline.vision.markers_file import RobotTags, markers_of
-from tasks.analysis.built_run import steady_speed
+from tasks.analysis.built_run import RunComparison, SteadyRun, steady_speed
 from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
 from tasks.fabrication.throwing_bars import throwing_bars
 from tasks.fabrication.timeline import Playback
@@ -111,34 +112,37 @@ def numbers(said, what):
 
 
 @pytest.mark.parametrize(
-    ("off", "verdict"), [(0.0, "The robot moved as predicted"), (0.02, "The robot did not move as predicted")]
+    ("speed", "spread", "said"),
+    [
+        (0.02, 0.003, "moved as predicted: "),
+        (0.04, 0.003, "did not move as predicted: "),
+        (0.02, 0.1, "moved as predicted, but the prediction leaves the direction open: "),
+    ],
 )
-def test_the_last_line_says_whether_the_prediction_held(run, tmp_path, capsys, off, verdict):
-    code, said, _ = compared(run, tmp_path, capsys, kit=predicting(run, tmp_path, run[2] + off, 0.003))
-    assert code == 0 and said.splitlines()[-1].startswith(verdict)
-    assert "predicted by the kit's" in said and "the kit's ensemble says" in said.splitlines()[-1]
+def test_a_sentence_says_whether_the_prediction_held(run, speed, spread, said):
+    robot = replace(read_kit(run[0] / "kit"), predicted=np.array([0.02 - spread, 0.02 + spread]))
+    measured = SteadyRun(np.arange(2.0), np.arange(2.0), speed, 0.75)
+    sentence = verdict(RunComparison(robot, measured, measured))
+    assert said in sentence
+    assert interval(sentence) == pytest.approx([20 - 2000 * spread, 20 + 2000 * spread])
 
 
-def test_a_prediction_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):
-    """Tenths, so that a speed just outside of an interval does not read as its limit."""
-    _, said, _ = compared(run, tmp_path, capsys, kit=predicting(run, tmp_path, run[2], 0.1))
-    assert "the prediction leaves the direction open" in said.splitlines()[-1]
-    ends = re.search(r"says (\S+) to (\S+)\.$", said.replace("−", "-").strip()).groups()
-    assert list(map(float, ends)) == pytest.approx([1000 * run[2] - 200, 1000 * run[2] + 200], abs=0.051)
+def interval(said):
+    """The ends of the predicted interval [mm/s]."""
+    return list(map(float, re.search(r"says (\S+) to (\S+)\.$", said.replace("−", "-").strip()).groups()))
 
 
 def test_the_ensemble_of_a_study_predicts_the_run(run, recorded, tmp_path, capsys):
     """For a rollout, as what a kit records of its own: with the study's physics, in the depth of the kit."""
     code, said, _ = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
     assert code == 0 and "the ensemble of study tiny says" in said.splitlines()[-1]
-    ends = re.search(r"says (\S+) to (\S+)\.$", said.replace("−", "-").strip()).groups()
     study = open_study("tiny", recorded)
     design, rollout = read_kit(run[0] / "kit").design, study.settings.rollout
     steps = {"n_settle": rollout.n_settle, "n_measure": rollout.n_measure, "physics": study.settings.physics}
     found = simulate(design, ResidualSlush(depth=2.0, ensemble=study.ensemble()), **steps).displacement
     seconds = rollout.n_measure * study.settings.physics.time_step * TIME
     expected = [1000 * 0.07 * (found.mean() + k * found.std()) / seconds for k in (-2, 2)]
-    assert list(map(float, ends)) == pytest.approx(expected, abs=0.051)
+    assert interval(said) == pytest.approx(expected, abs=0.051)
 
 
 HEAD = "throw,time,x,y,angle\n"
