@@ -167,10 +167,8 @@ def _numpy_column(column: pa.ChunkedArray) -> Array:
         return np.array(column.to_pylist(), dtype=np.str_)
     if not pa.types.is_fixed_size_list(column.type):
         return np.array(column.to_numpy(), order="C")
-    k = column.type.list_size
-    parts = [chunk.flatten().to_numpy(zero_copy_only=False) for chunk in column.chunks]
-    empty = np.empty(0, column.type.value_type.to_pandas_dtype())
-    return np.concatenate([empty, *parts]).reshape(len(column), k)
+    values = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    return np.array(values).reshape(len(column), column.type.list_size)
 
 
 # -- arrays: safetensors ---------------------------------------------------------------------------------------------

@@ -38,23 +38,20 @@ class Dispatcher:
 
     def run(self, chains: Sequence[ChainProgress]) -> None:
         """Compute what is missing of the stage's chains; raise PuddleError if that needs a GPU and there is none."""
+        ready = [progress for progress in chains if progress.open]
         try:
-            self._run_all(chains)
+            while ready or self._running:
+                queue = max(1, round(_QUEUED_PER_CORE * self._cluster.n_cores))  # machines join and leave
+                ready.sort(key=lambda progress: -progress.left)
+                while ready and len(self._running) < queue:
+                    # Batches must not drain the queue: a core without work is worse than empty lanes.
+                    n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_batch else 0
+                    self._submit(_take_batch(ready, n_to_spare))
+                if (finished := self._cluster.next_done(timeout=_SECONDS_BETWEEN_CHECKS)) is not None:
+                    ready += [progress for progress in self._finish(*finished) if progress.open]
         except BaseException:
             self._cluster.cancel_all()
             raise
-
-    def _run_all(self, chains: Sequence[ChainProgress]) -> None:
-        ready = [progress for progress in chains if progress.open]
-        while ready or self._running:
-            queue = max(1, round(_QUEUED_PER_CORE * self._cluster.n_cores))  # machines join and leave
-            ready.sort(key=lambda progress: -progress.left)
-            while ready and len(self._running) < queue:
-                # Batches must not drain the queue: a core without work is worse than empty lanes.
-                n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_batch else 0
-                self._submit(_take_batch(ready, n_to_spare))
-            if (finished := self._cluster.next_done(timeout=_SECONDS_BETWEEN_CHECKS)) is not None:
-                ready += [progress for progress in self._finish(*finished) if progress.open]
 
     def _submit(self, chains: Sequence[ChainProgress]) -> None:
         items = [self._run.next_item(progress) for progress in chains]
