@@ -11,7 +11,7 @@ from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.study_data import StudyFiles
 from pipeline.workflow.identity import arms_of
 from tasks.analysis.hallucination import disagreement
-from tasks.analysis.registry import Champion
+from tasks.analysis.scores import Champion
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.evolution.map_elites import CELL, measure_bodies
@@ -41,7 +41,8 @@ def elite_replays(study: StudyFiles) -> list[tuple[Designs, Replay]]:
         for i, cell in enumerate(map(tuple, population.extra[CELL].tolist())):
             fitness = float(population.fitness[i])
             if cell not in fittest or fitness > fittest[cell].fitness:
-                fittest[cell] = Champion(environment, depth, trial, population.designs[i], fitness, fitness, fitness)
+                design = population.designs[i]
+                fittest[cell] = Champion(environment, depth, trial, 0, fitness, fitness, design=design)
     found = []
     for cell, elite in sorted(fittest.items()):
         if replay := _at_target(study, elite):

@@ -42,7 +42,7 @@ from pipeline.workflow.stage import (
     Summary,
     Upstream,
 )
-from tasks.analysis.registry import Champion
+from tasks.analysis.scores import Champion
 
 PAGE = "index.html"  # the page's file
 FILM = "replay"  # name of the film of the first screen, without suffix

@@ -25,8 +25,8 @@ from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.design_file import design_from
 from pipeline.workflow.identity import OMIT_DEFAULT, InputName, TrialId, arms_of
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
-from tasks.analysis.registry import AnalysisSettings, Assessed, Champion
-from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.registry import AnalysisSettings, Assessed
+from tasks.analysis.scores import Champion, ScoredTrial
 from tasks.design import Designs
 from tasks.evolution import Population
 from tasks.residual import Learner
@@ -131,8 +131,7 @@ class StudyFiles:
             if scored.status == "ok":
                 files = self.inputs[InputName(SCORED, trial)]
                 design = design_from(files[CHAMPION], trial.label)
-                known = scored.fitness, scored.predicted, scored.zero_shot
-                found.append(Champion(trial.environment, trial.depth, trial.index, design, *known))
+                found.append(Champion(**vars(scored), design=design))
         return found
 
     @cached_property

@@ -99,14 +99,9 @@ class RunComparison:
 
 
 def compare_with_simulation(robot: BuiltRobot, paths: Mapping[int, LinkPath]) -> RunComparison:
-    """Compare the steady part of a run with its simulation.
+    """Compare the steady part of a run, the paths of the links that were tracked, with its simulation.
 
-    Args:
-        robot: the robot.
-        paths: path of each link that was tracked.
-
-    Raises:
-        RunError: the run is not of this robot or too short, or its simulation diverged.
+    Raises RunError if the run is not of this robot or too short, or its simulation diverged.
     """
     if 0 not in paths or len(paths) < 2:
         raise RunError(f"expected tags of link 0, the root, and of a link that moves, got links {sorted(paths)}")
@@ -130,8 +125,7 @@ def compare_with_simulation(robot: BuiltRobot, paths: Mapping[int, LinkPath]) ->
 def steady_part(time: Float64, angle: Float64, period: float) -> slice:
     """Return the frames in which (n_frames, n_links) angles have their full swing, from the first to the last.
 
-    Raises:
-        RunError: that is shorter than two periods [s].
+    Raises RunError if that is shorter than two periods [s].
     """
     first = np.clip(time - period / 2, time[0], max(time[0], time[-1] - period))
     around = zip(np.searchsorted(time, first), np.searchsorted(time, first + period, side="right"), strict=True)
@@ -146,8 +140,7 @@ def steady_part(time: Float64, angle: Float64, period: float) -> slice:
 def gait_frequency(time: Float64, angle: Float64, expected: float) -> float:
     """Return the frequency at which (n_frames, n_links) angles oscillate [Hz].
 
-    Raises:
-        RunError: they do not, or not at about the one that is expected.
+    Raises RunError if they do not, or not at about the one that is expected.
     """
     tried, share = expected * _FREQUENCIES, angle.var(axis=0) / max(angle.var(axis=0).sum(), 1e-12)
     power = [lombscargle(time, of, 2 * np.pi * tried, normalize=True, floating_mean=True) for of in angle.T]

@@ -72,11 +72,8 @@ def compare(
 ) -> list[Comparison]:
     """Compare arms of one study, or of two, at every depth where both have champions, the greatest depth first.
 
-    Args:
-        a: the trials of A.
-        b: the trials of B, the reference; the same for arms of one study.
-        pairs: an arm of A and one of B each.
-        target: the environment that champions are transferred to; a share of what its designs travel is negligible.
+    B is the reference; a and b are the same for arms of one study. ``pairs`` are an arm of A and one of B each. A share
+    of what designs of the target travel, where champions are transferred to, is negligible.
     """
     depths = sorted({one.depth for one in a} & {one.depth for one in b}, reverse=True)
     rows = [

@@ -161,10 +161,7 @@ def sum_of_means(*samples: Sample) -> Estimate:
 def ratio(part: Sample, whole: Sample, *, rng: Generator) -> Estimate:
     """Estimate the ratio of two means of independent groups; missing where the reference goes nowhere or backwards.
 
-    Args:
-        part: a group.
-        whole: the reference.
-        rng: source of randomness for the interval if no group has several replicates.
+    The interval is by the bootstrap, and by the delta method if a group has several replicates.
     """
     if min(len(part), len(whole)) == 0 or whole.values.mean() <= RESOLUTION:
         return MISSING

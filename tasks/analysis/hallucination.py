@@ -21,14 +21,11 @@ def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, phys
     translation and rotation have one unit and are weighted as in kinetic energy.
 
     Args:
-        designs: n_designs designs.
-        trace: (n_designs, n_steps, n_links, 6) their states, in the order of STATE.
-        ensemble: the members.
-        physics: the base simulator's constants.
+        designs, trace: n_designs designs, and (n_designs, n_steps, n_links, 6) their states, in the order of STATE.
+        ensemble, physics: the members, and the base simulator's constants.
 
     Returns:
-        (n_designs, n_steps, n_links) deviations over the members of the accelerations: root mean squares over a link's
-        points [m/s²].
+        (n_designs, n_steps, n_links) deviations over the members [m/s²].
     """
     trees = kinematic_trees(designs, density=physics.link_density)
     bodies = (array.astype(trace.dtype)[:, None] for array in (designs.length_scale, trees.mass, trees.inertia))

@@ -23,7 +23,7 @@ from tasks.world import EnvironmentName, environment_kind
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from tasks.analysis.scores import ScoredTrial
+    from tasks.analysis.scores import Champion, ScoredTrial
     from tasks.analysis.tank import Tank
     from tasks.arrays import Float64, Int64
     from tasks.design import Designs
@@ -40,15 +40,9 @@ Section = Literal["transfer", "paper", "networks", "trust", "tank", "more", ""]
 def column(
     label: str, unit: str = "", *, form: Form = "{:z.1f}", meaning: str = "", shown: bool = True, default: Any = MISSING
 ) -> Any:
-    """Describe a column: the field of a row.
+    """Describe a column, the field of a row: its heading, unit, how a number is written, and what it means.
 
-    Args:
-        label: heading of the column.
-        unit: of its numbers, such as "m".
-        form: how a number is written for a reader.
-        meaning: a sentence, where the label does not say it all.
-        shown: whether readers see it; otherwise it is in files alone.
-        default: value of rows that do not give it.
+    ``meaning`` is a sentence, where the label does not say it all. A column that is not shown is in files alone.
     """
     return field(
         default=default, metadata={"label": label, "unit": unit, "form": form, "meaning": meaning, "shown": shown}
@@ -79,19 +73,6 @@ class OfTrial(OfArm):
     """The first columns of a table about champions."""
 
     trial: int = column("trial", form="{}")
-
-
-@dataclass(frozen=True, eq=False)
-class Champion:
-    """The champion of a trial, with its displacements [m]; NaN where it diverged."""
-
-    environment: str  # where it evolved
-    depth: float  # [m]
-    trial: int
-    design: Designs
-    fitness: float  # where it evolved, in the objective's unit
-    predicted: float  # displacement where it evolved: for an ensemble the mean over members
-    zero_shot: float  # displacement in the target
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +177,7 @@ ANALYSES: dict[str, Analysis] = {}
 
 
 def analysis(name: str, **about: Any) -> Callable[[Callable[[StudyData], Any]], Callable[[StudyData], Any]]:
-    """Register the function below as the analysis that makes a table; ``about`` are fields of :class:`Analysis`.
-
-    Raises:
-        ValueError: the name is taken.
-    """
+    """Register the function below as the analysis that makes a table; ``about`` are fields of :class:`Analysis`."""
     if name in ANALYSES:
         raise ValueError(f"analysis {name!r} is registered twice, expected a name of its own")
 

@@ -19,10 +19,7 @@ def spread_evenly(n_designs: int, n_trials: int) -> list[int]:
 def draw_over_generations(generation: npt.ArrayLike, n_designs: int, rng: Generator) -> Int64:
     """Return indices of designs drawn without replacement from a trial, each generation with equal probability.
 
-    Args:
-        generation: (n_evaluated,) generation of each design of the trial.
-        n_designs: number of designs to draw; all are drawn if there are fewer.
-        rng: source of randomness.
+    ``generation`` is that of each of the trial's designs; all are drawn if there are fewer than n_designs.
     """
     _, which, n_in = np.unique(np.asarray(generation), return_inverse=True, return_counts=True)
     share = 1 / n_in[which]

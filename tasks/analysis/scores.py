@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from tasks.analysis.estimates import Sample, sample_of
 from tasks.analysis.registry import OfTrial, column
+from tasks.design import Designs
 from tasks.world import EnvironmentName, environment_kind, in_order
 
 Quantity = Literal["predicted", "zero_shot", "adapted"]
@@ -41,6 +42,13 @@ class ScoredTrial(OfTrial):
     status: Literal["ok", "no champion", "not done"] = column(
         "status", form="{}", default="not done", meaning="ok, no champion (every design diverged), or not done."
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Champion(ScoredTrial):
+    """The champion of a trial, with what is known of it."""
+
+    design: Designs = field(kw_only=True)
 
 
 def sample(trials: Sequence[ScoredTrial], arm: ScoredArm, depth: float) -> Sample:

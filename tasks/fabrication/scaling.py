@@ -118,18 +118,13 @@ def joint_loads(
     commanded = np.asarray(commanded_speed) * scales.frequency
     asked = torque.astype(np.float64) * scales.torque / servos_per_joint
     turning = speed.astype(np.float64) * scales.frequency
-    used = line_use(asked, turning, servo)
     rms = np.sqrt(np.mean(asked**2, axis=0))
-    at_limit = np.mean(np.abs(torque) >= _SATURATED * max_motor_torque, axis=0)
-    return [
-        JointLoad(
-            joint=joint,
-            peak_torque=float(np.abs(asked[:, column]).max()),
-            rms_torque=float(rms[column]),
-            peak_speed=max(float(np.abs(turning[:, column]).max()), float(commanded[column])),
-            use=max(float(used[:, column].max()), float(commanded[column]) / servo.no_load_speed_rad_s),
-            stall_share=float(rms[column] / servo.stall_torque_nm),
-            saturated=float(at_limit[column]),
-        )
-        for column, joint in enumerate(joints)
-    ]
+    columns = (
+        np.abs(asked).max(axis=0),
+        rms,
+        np.maximum(np.abs(turning).max(axis=0), commanded),
+        np.maximum(line_use(asked, turning, servo).max(axis=0), commanded / servo.no_load_speed_rad_s),
+        rms / servo.stall_torque_nm,
+        np.mean(np.abs(torque) >= _SATURATED * max_motor_torque, axis=0),
+    )
+    return [JointLoad(joint, *row) for joint, row in zip(joints, np.transpose(columns).tolist(), strict=True)]

@@ -20,16 +20,10 @@ _MAX_DRAWS = 2**23  # units of all layers for which a call draws whether to drop
 
 
 def step_factors(training: Training, first: int, n: int) -> Float32:
-    """Return the factors of AdamW for some iterations.
+    """Return the (n, 3) factors of AdamW for n iterations after the first ones.
 
-    Args:
-        training: settings of the training.
-        first: number of iterations before.
-        n: number of iterations.
-
-    Returns:
-        (n, 3) for each iteration: of a parameter, by weight decay; of its moving mean; and of the root of its moving
-        mean square. The last two correct the moments' bias towards zero.
+    They are those of a parameter, by weight decay, of its moving mean, and of the root of its moving mean square. The
+    last two correct the moments' bias towards zero.
     """
     factors = np.empty((n, 3))
     for i in range(n):
@@ -57,12 +51,14 @@ class Descent:
         self.n_inputs = self._shapes[0][0]
         self._rows, self._dropout, self._training, self._rng = rows, dropout, training, rng
         self._n_done = 0
-        self._memory = allocate([self._shapes[0][0], *(n_out for _, n_out in self._shapes)], rows.shape[1])
-        for i, (first_weight, first_bias, n_in, n_out) in enumerate(self._layers()):
-            panels = to_panels(weights[f"weight_{i}"][None], n_in, n_out)[0]
-            self._memory.parameters[first_weight : first_weight + len(panels)] = panels
-            bias = weights[f"bias_{i}"]
-            self._memory.parameters[first_bias : first_bias + len(bias)] = bias
+        self._memory = memory = allocate([self.n_inputs, *(n_out for _, n_out in self._shapes)], rows.shape[1])
+        sizes = memory.sizes.tolist()  # padded
+        starts = memory.first_weight.tolist(), memory.first_bias.tolist()
+        self._layers = list(zip(*starts, sizes[:-1], sizes[1:], strict=True))
+        for i, (first_weight, first_bias, n_in, n_out) in enumerate(self._layers):
+            panels, bias = to_panels(weights[f"weight_{i}"][None], n_in, n_out)[0], weights[f"bias_{i}"]
+            memory.parameters[first_weight : first_weight + len(panels)] = panels
+            memory.parameters[first_bias : first_bias + len(bias)] = bias
 
     def advance(self, n_iterations: int) -> Float64:
         """Take iterations and return the (n_iterations,) mean loss of each minibatch."""
@@ -98,7 +94,7 @@ class Descent:
     def weights(self) -> dict[str, Float32]:
         """Return copies of weight_i and bias_i of each layer i."""
         weights = {}
-        for i, (first_weight, first_bias, n_in, n_out) in enumerate(self._layers()):
+        for i, (first_weight, first_bias, n_in, n_out) in enumerate(self._layers):
             panels = self._memory.parameters[None, first_weight : first_weight + n_in * n_out]
             rows, columns = self._shapes[i]
             weights[f"weight_{i}"] = from_panels(panels, n_in, n_out)[0, :rows, :columns].copy()
@@ -112,12 +108,6 @@ class Descent:
         matrices, biases = ([weights[f"{kind}_{i}"][None] for i in layers] for kind in ("weight", "bias"))
         predicted: Float32 = PackedNetworks(matrices, biases, inputs=()).forward(inputs[None])[0]
         return predicted
-
-    def _layers(self) -> list[tuple[int, int, int, int]]:
-        """Return where a layer's panels and biases begin, and its padded inputs and outputs."""
-        memory = self._memory
-        sizes = memory.sizes.tolist()
-        return list(zip(memory.first_weight.tolist(), memory.first_bias.tolist(), sizes[:-1], sizes[1:], strict=True))
 
 
 def _drops(rng: Generator, dropout: float, n_iterations: int, n_units: int) -> tuple[Int64, Int64]:

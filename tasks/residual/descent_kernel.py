@@ -130,13 +130,7 @@ def _go_forward(memory: NetworkMemory, layer: int, last: bool) -> None:
 def _drop(memory: NetworkMemory, layer: int, dropped: Int64, first_sample: int, width: int, kept: np.float32) -> None:
     """Divide the outputs of a hidden layer by the share that is kept, and set those of dropped units to zero.
 
-    Args:
-        memory: the network.
-        layer: hidden layer.
-        dropped: dropped units of the chunk's samples, numbered by sample, layer and unit.
-        first_sample: number of the chunk's first sample.
-        width: units in each hidden layer, without padding.
-        kept: 1 over the share of units that are kept.
+    The arguments are those of _descend; the dropped units are those of the chunk's samples.
     """
     n_hidden, n_units = len(memory.sizes) - 2, memory.sizes[layer + 1]
     value = memory.values[memory.first_value[layer + 1] :]

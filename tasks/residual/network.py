@@ -65,11 +65,7 @@ def _moments(rows: Float32) -> tuple[Float32, Float32]:
 def initial_weights(sizes: Sequence[int], rng: Generator) -> dict[str, Float32]:
     """Draw weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for rows @ weight + bias.
 
-    They are uniform within ±1 / √n_in, as in torch.nn.Linear.
-
-    Args:
-        sizes: numbers of inputs, of units in each hidden layer, and of outputs.
-        rng: generator.
+    They are uniform within ±1 / √n_in, as in torch.nn.Linear; ``sizes`` are those of Architecture.
     """
     weights: dict[str, Float32] = {}
     for i, (n_in, n_out) in enumerate(pairwise(sizes)):

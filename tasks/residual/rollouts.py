@@ -209,13 +209,7 @@ def _at(path: Tensor, steps: Tensor) -> Tensor:
 
 
 def fit_medium(paths: SeenPaths, physics: Physics, *, n_iterations: int = 200) -> MediumModel:
-    """Fit a model of the medium to the frames of throws, on one CPU thread; a second run gives the same.
-
-    Args:
-        paths: the throws.
-        physics: constants of the base simulator.
-        n_iterations: steps of AdamW.
-    """
+    """Fit a model of the medium to the frames of throws, on one CPU thread; a second run gives the same."""
     with torch.random.fork_rng(devices=[]), deterministic(torch.device("cpu")):
         torch.manual_seed(_SEED)
         model = MediumModel(physics)
@@ -260,7 +254,7 @@ def _parts(paths: SeenPaths) -> list[tuple[int, int, int]]:
 
 
 @torch.no_grad()
-def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physics) -> tuple[Float64, Float64, Float64]:
+def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physics) -> tuple[Float64, Float64]:
     """Roll whole throws out, from the starts that meet their frames best.
 
     Args:
@@ -270,30 +264,23 @@ def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physic
         physics: constants of the base simulator.
 
     Returns:
-        (n_throws, n_frames, 3) poses at the frames, and (n_throws, n_times, 3) poses and velocities at the times.
+        (n_throws, n_times, 3) poses and velocities at the times.
 
     Raises:
         TrainingDiverged: a state is not finite.
     """
-    sections = _sections(paths)
-    dt = physics.time_step
+    sections, dt = _sections(paths), physics.time_step
     with deterministic(torch.device("cpu")):
         windows = _Windows(paths, sections, dt)
         windows.estimate_starts(model, physics.gravity, n_sweeps=15)
         since = paths.time[windows.throw, windows.first][:, None]
-        at_frames, at_times = (
-            torch.from_numpy(np.maximum((time[windows.throw] - since) / dt, 0.0)) for time in (paths.time, times)
-        )
-        n_steps = max(_n_steps(at_frames), _n_steps(at_times))
-        poses, velocities = _rollout(model, windows.length_scale, windows.start, n_steps, dt, physics.gravity)
-        rolled_out = [
-            _at(series, at).numpy() for series, at in ((poses, at_frames), (poses, at_times), (velocities, at_times))
-        ]
-    found = np.empty_like(paths.pose), np.empty((*times.shape, 3)), np.empty((*times.shape, 3))
+        at = torch.from_numpy(np.maximum((times[windows.throw] - since) / dt, 0.0))
+        rollouts = _rollout(model, windows.length_scale, windows.start, _n_steps(at), dt, physics.gravity)
+        states = torch.stack([_at(series, at) for series in rollouts]).numpy()
+    found = np.empty((2, *times.shape, 3))
     for row, (throw, first, _) in enumerate(sections):  # each until the next one of the throw begins
-        begin = paths.time[throw, first]
-        for whole, series, at in zip(found, rolled_out, (paths.time, times, times), strict=True):
-            whole[throw, at[throw] >= begin] = series[row, at[throw] >= begin]
-    if not all(np.isfinite(array).all() for array in found):
+        after = times[throw] >= paths.time[throw, first]
+        found[:, throw, after] = states[:, row, after]
+    if not np.isfinite(found).all():
         raise TrainingDiverged("the model of the medium diverged: check the tracks, or set tracks.fit to steps")
-    return found
+    return found[0], found[1]

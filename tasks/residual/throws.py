@@ -141,17 +141,7 @@ class MeasuredTransitions(Transitions):
 
 
 def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | None = None) -> Starts:
-    """Draw the initial states of all throws.
-
-    Args:
-        throws: their number, design and ranges.
-        rng: source of randomness.
-        physics: constants of the base simulator, in which the range of robots' states is estimated; the paper's by
-            default.
-
-    Returns:
-        n_throws starts.
-    """
+    """Draw the starts of all throws; those for robots cover the states of robots in the base simulator of physics."""
     n = throws.n_throws
     if throws.design == "robots":
         return even_starts(n, physics or Physics(), rng)
@@ -169,14 +159,7 @@ def even_starts(
 ) -> Starts:
     """Spread n starts evenly over the length, height, angle, velocities and spin of robots' links.
 
-    Args:
-        n: number of starts.
-        physics: constants of the base simulator.
-        rng: source of randomness, which scrambles the sequence.
-        heights: least and greatest height of the centre [m]; by default those of the ranges.
-
-    Returns:
-        n starts.
+    ``heights`` are the least and the greatest of the centre [m], by default those of the ranges.
     """
     from scipy.stats import qmc  # takes long to import, and settings files are read without it
 

@@ -139,11 +139,6 @@ def dropout_mask(shape: torch.Size, p: float, random: torch.Generator) -> Tensor
 
     Gaps between dropped units are geometric, so only the few gaps are drawn. torch's dropout draws a number for every
     unit, which took half the training time of a small network at the paper's p.
-
-    Args:
-        shape: shape of the mask.
-        p: probability of 0.
-        random: generator, on the device of the mask.
     """
     n = shape.numel()
     # Enough gaps to pass the end: the mean plus ten deviations falls short with a probability below 1e-20.

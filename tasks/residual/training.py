@@ -56,14 +56,7 @@ def split_throws(throw: Int64, held_out: float, *, seed: int) -> tuple[Bools, Bo
 
     Whole throws are held out at random, because the steps of one resemble each other: at least one throw, and not all.
     If the share is 0, networks learn from every throw, as in the paper, and are validated on the same throws.
-
-    Args:
-        throw: (n_transitions,) throw of each transition.
-        held_out: share of the throws to hold out.
-        seed: the study's seed.
-
-    Raises:
-        ValueError: there are fewer than two throws, and some are to be held out.
+    ``throw`` is the throw of each transition. Raises ValueError if there are fewer than two.
     """
     if held_out == 0:
         every = np.ones(len(throw), dtype=bool)

@@ -74,15 +74,8 @@ def residual_transitions(
     """Smooth tracked throws, and compare each step of the simulator's clock with the base simulator's.
 
     E(x) is the smoothed velocity one step later, E'(x) the base simulator's step from the smoothed state; positions
-    follow by integration, as in the simulation. A fit to rollouts adds throws in the fitted medium, whose numbers are
-    negative.
-
-    Args:
-        table: the tracks.
-        bars: the bar of each throw.
-        tracks: units, axes and scale.
-        physics: constants of the base simulator.
-        n_iterations: iterations of a fit to rollouts.
+    follow by integration, as in the simulation. A fit to rollouts, of n_iterations, adds throws in the fitted medium,
+    whose numbers are negative.
 
     Returns:
         MeasuredTransitions with their uncertainty, ordered by throw and step, and what the tracks are like.
@@ -169,11 +162,12 @@ def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[
         length_scale=first.long_axes,
     )
     model = fit_medium(seen, physics, n_iterations=n_iterations)
-    seen_pose, pose, velocity = follow(model, seen, first.time, physics)
-    smoothed = _smoothed(paths, paths.pose - seen_pose, first.time)
+    pose, velocity = follow(model, seen, np.concatenate([paths.time, first.time], axis=1), physics)
+    n_frames = paths.time.shape[1]
+    smoothed = _smoothed(paths, paths.pose - pose[:, :n_frames], first.time)
     for axis, coordinate in enumerate(smoothed):
-        coordinate.mean[..., 0] += pose[..., axis]
-        coordinate.mean[..., 1] += velocity[..., axis]
+        coordinate.mean[..., 0] += pose[:, n_frames:, axis]
+        coordinate.mean[..., 1] += velocity[:, n_frames:, axis]
     fastest = np.abs(first.transitions.state[:, 3:]).max(axis=0)
     found = np.stack([coordinate.mean[:, :-1, 1] for coordinate in smoothed], axis=-1)
     return model, smoothed, (np.abs(found) <= fastest).all(axis=-1)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.analysis.estimates import Estimate, Mean, mean_of, sample_of, sum_of_means
-from tasks.analysis.registry import Champion, OfArm, StudyData, analysis, column
-from tasks.analysis.scores import arms
+from tasks.analysis.registry import OfArm, StudyData, analysis, column
+from tasks.analysis.scores import Champion, arms
 from tasks.arrays import Float64
 from tasks.design import Designs, concatenate, jittered
 
@@ -39,13 +39,12 @@ class LuckRow(OfArm):
 )
 def luck(study: StudyData) -> list[LuckRow]:
     """Score the champions again, arm by arm, the greatest depth first."""
-    replicate = {(one.environment, one.depth, one.trial): one.replicate for one in study.trials}
     rows = []
     for arm in arms(study.trials):
         own = [champion for champion in study.champions if (champion.environment, champion.depth) == arm]
         one, again = np.array([champion.zero_shot for champion in own]), scored_again(study, own)
-        of = np.array([replicate[champion.environment, champion.depth, champion.trial] for champion in own], np.int64)
-        lost, known = sample_of(one - again, of), np.isfinite(one) & np.isfinite(again)
+        lost = sample_of(one - again, np.array([champion.replicate for champion in own], np.int64))
+        known = np.isfinite(one) & np.isfinite(again)
         rows.append(LuckRow(*arm, len(lost), mean_of(one[known]), mean_of(again[known]), sum_of_means(lost)))
     return rows
 

@@ -13,13 +13,11 @@ from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.rigid_bodies import step
 from tasks.simulation.rigid_bodies.layout import ROBOT, Records
 from tasks.simulation.rigid_bodies.packing import body_index, pack
+from tasks.simulation.trees.layout import QUANTITIES
 from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
 
 _advance = compiled(step.advance_robots, seconds=12)
-
-_QUANTITIES = ("length_scale", "mass", "inertia", "y", "cos", "sin", "vx", "vy", "omega")
-"""Fields of :class:`tasks.world.LinkStates`, and of a link's record."""
 
 # The first link's record as rows of float32, for the networks.
 _LINKS, _FIRST_LINK = (ROBOT.fields["links"][0].base, ROBOT.fields["links"][1]) if ROBOT.fields else (ROBOT, 0)
@@ -88,7 +86,7 @@ class Robots:
     def push(self, medium: Medium) -> None:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""
         links = self.records["links"].reshape(self._shape)
-        states = LinkStates(**{name: np.ascontiguousarray(links[name]) for name in _QUANTITIES})
+        states = LinkStates(**{name: np.ascontiguousarray(links[name]) for name in QUANTITIES})
         change = medium.velocity_change(states, self._physics)
         of_body = body_change(self._rigid, links["lever_x"], links["lever_y"], change)
         bodies = self.records["bodies"].reshape(*self._shape[:2], self.records["bodies"].shape[1])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tasks.analysis.registry import Champion
+from tasks.analysis.scores import Champion
 from tasks.analysis.tables.exploiters import exploiters
 from tasks.simulation import simulate
 
@@ -33,8 +33,8 @@ class PlantedStudy:
 def planted(study):
     predicted = study.predicted.mean(axis=0)
     champions = [
-        Champion("residual_slush", 9.0, k, study.designs[k : k + 1], predicted[k], predicted[k], study.true[k])
-        for k in range(len(study.true))
+        Champion("residual_slush", 9.0, k, 0, mu, mu, zero_shot=true, design=study.designs[k : k + 1])
+        for k, (mu, true) in enumerate(zip(predicted, study.true, strict=True))
     ]
     return PlantedStudy(champions, study.planted)
 

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tasks.analysis.registry import Champion
-from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.scores import Champion, ScoredTrial
 from tasks.analysis.tables.transfer_luck import N_STARTS, luck, moved_joints
 from tasks.design import random_designs, rest_pose
 from tasks.simulation import simulate
@@ -21,10 +20,9 @@ def study():
     scores = simulate(designs, TrueSlush(depth=2.0), **STEPS).displacement
     arms = ("true_slush", 0), ("true_slush", 1), ("dry_land", 0), ("dry_land", 1)
     for k, (environment, trial) in enumerate(arms):
-        champions.append(Champion(environment, 2.0, trial, designs[k], 0.0, 0.0, scores[k]))
-    trials = [ScoredTrial(c.environment, 2.0, c.trial, 0, zero_shot=c.zero_shot, status="ok") for c in champions]
+        champions.append(Champion(environment, 2.0, trial, 0, zero_shot=scores[k], status="ok", design=designs[k]))
     return SimpleNamespace(
-        trials=[*trials, ScoredTrial("residual_slush", 2.0, 0, 0, status="no champion")],
+        trials=[*champions, ScoredTrial("residual_slush", 2.0, 0, 0, status="no champion")],
         champions=champions,
         target="true_slush",
         at_target=lambda depth: TrueSlush(depth=depth),
