@@ -125,6 +125,31 @@ def variants(results: Results) -> Iterable[Variant]:
 
 
 @dataclass(frozen=True)
+class ByThrows:
+    """The share of *E* that robots reach zero-shot, by the throws that their networks learned from."""
+
+    n_throws: int = column("throws", form="{}")
+    wetted_9m: Estimate | None = column("wetted, 9 m", form="{:z.0%}")
+    plain_9m: Estimate | None = column("plain, 9 m", form="{:z.0%}")
+    wetted_2m: Estimate | None = column("wetted, 2 m", form="{:z.0%}")
+    plain_2m: Estimate | None = column("plain, 2 m", form="{:z.0%}")
+
+
+def throws(results: Results) -> Iterable[ByThrows]:
+    """Tabulate shares of *E* by the number of designed throws, the form of the networks, and depth."""
+    studies = {(one["n_throws"], one["form"], one["depth"]): one for one in results["studies"]}
+    for n in sorted({n for n, _, _ in studies}):
+        found = ((n, form, depth) for depth in (9.0, 2.0) for form in ("wetted", "plain"))
+        yield ByThrows(
+            n,
+            *(
+                _share(studies[key], "designed_throws", "zero_shot", key[2]) if key in studies else None
+                for key in found
+            ),
+        )
+
+
+@dataclass(frozen=True)
 class Choice:
     """How far *E* goes if a choice is made differently."""
 
@@ -176,6 +201,7 @@ TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
     "depths": (AtDepth, depths),
     "verdicts": (Beside, verdicts),
     "variants": (Variant, variants),
+    "throws": (ByThrows, throws),
     "open_choices": (Choice, open_choices),
     "sensitivity": (Choice, sensitivity),
     "bench": (Bench, bench),
@@ -187,15 +213,15 @@ def _label(environment: str) -> str:
     return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
 
 
-def _share(study: Results, environment: str, score: str) -> Estimate:
+def _share(study: Results, environment: str, score: str, depth: float = paper.DEPTH) -> Estimate:
     """Estimate an arm's share of *E* zero-shot."""
-    best = _sample(study, "true_slush", "zero_shot")
-    return ratio(_sample(study, environment, score), best, rng=np.random.default_rng(0))
+    best = _sample(study, "true_slush", "zero_shot", depth)
+    return ratio(_sample(study, environment, score, depth), best, rng=np.random.default_rng(0))
 
 
-def _sample(study: Results, environment: str, score: str) -> Sample:
-    """Return the champions of an arm at 9 m; those that learned from the same data set belong together."""
-    rows = [one for one in study["champions"] if (one["environment"], one["depth"]) == (environment, paper.DEPTH)]
+def _sample(study: Results, environment: str, score: str, depth: float) -> Sample:
+    """Return the champions of an arm at a depth; those that learned from the same data set belong together."""
+    rows = [one for one in study["champions"] if (one["environment"], one["depth"]) == (environment, depth)]
     n = study["n_replicates"] if environment_kind(environment).learned else 1
     return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n for row in rows]))
 
