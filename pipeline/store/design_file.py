@@ -28,7 +28,10 @@ def design_json(design: Designs) -> bytes:
 def design_from(data: bytes, source: str) -> Designs:
     """Return the design in a design file, which messages call ``source``; the error names the faulty gene."""
     document = decode_document(data, schema=DESIGN_SCHEMA, version=DESIGN_VERSION, source=source)
-    return _designs({name: [value] for name, value in document.items()}, source)
+    genes = {name: [value] for name, value in document.items() if name not in ("schema", "version")}
+    if unknown := [name for name in genes if name not in DTYPES]:
+        raise PuddleError(f"{source}: expected the genes {', '.join(DTYPES)}, got {', '.join(unknown)}, too")
+    return _designs(genes, source)
 
 
 def read_design(path: Path) -> Designs:

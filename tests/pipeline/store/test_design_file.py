@@ -58,6 +58,7 @@ def test_a_faulty_column_is_named(tmp_path, changed, said):
         ({"motor_on": [2] * 6}, "motor_on: expected values of type bool"),
         ({"parent": [-1, 0, 0, 0, 0, 2**70]}, "parent: expected numbers"),
         ({"frequency": 7.0}, "frequency is 7"),
+        ({"girth": 1.0}, "expected the genes length_scale, .*, got girth, too"),
     ],
 )
 def test_a_faulty_field_is_named(changed, said):
