@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import decode_document, encode_document
-from tasks.design import DesignError, Designs, check
+from tasks.design import Designs, check
 from tasks.design.genes import DTYPES, concatenate
 
 DESIGN_SCHEMA, DESIGN_VERSION = "puddle.design", 1
@@ -43,11 +43,9 @@ def write_design(design: Designs, path: Path) -> None:
     """Write a design file; raise PuddleError if there is not one design, or it is not valid."""
     if len(design) != 1:
         raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
-    try:
-        check(design)
-    except DesignError as error:
-        raise PuddleError(f"{path}: {str(error).removeprefix('design 0: ')}") from None
-    path.write_bytes(design_json(design))
+    data = design_json(design)
+    design_from(data, str(path))
+    path.write_bytes(data)
 
 
 def read_designs(path: Path) -> Designs:
