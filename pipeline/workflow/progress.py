@@ -39,7 +39,6 @@ class Progress:
         """Return a context manager that shows a stage while it runs, and gives what counts work just done.
 
         Args:
-            name: the stage's name.
             total: cost of the whole stage, including what is done.
             done: cost of the work that the store already has.
             later: time that the stages after it should take [s].
