@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 from database_template import copied_databases
 
-from pipeline.cluster import Cluster, ray_cluster
+from pipeline.cluster import Cluster, ray_cluster, serial_cluster
 from pipeline.cluster.on_ray import LOCAL_ENVIRONMENT
+from pipeline.store.store import Store
 from tasks.design import N_LINKS, Designs
 
 hypothesis.settings.register_profile("puddle", deadline=None, max_examples=50)  # an example may compile a kernel
@@ -113,6 +114,16 @@ def local_ray() -> Iterator[Cluster]:
     """A Ray cluster of two cores. Tests that share it leave nothing running on it."""
     with ray_cluster(n_workers=2) as cluster:
         yield cluster
+
+
+@pytest.fixture(scope="session")
+def serial_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, dict[str, Any]]:
+    """A store with the study of one trial, computed in this process, and the results of each stage."""
+    from small_study import one_trial, run  # all stages: the process that only starts others need not load them
+
+    store = Store.open(tmp_path_factory.mktemp("serial") / "store", create=True)
+    with serial_cluster() as cluster:
+        return store, run(one_trial(), store, cluster)
 
 
 @pytest.fixture(scope="session")

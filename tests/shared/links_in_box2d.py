@@ -1,4 +1,4 @@
-"""Single links in pybox2d: to hang on a hinge, or to throw; tasks.simulation.free_links must equal the throws."""
+"""Thrown links in pybox2d, which those of tasks.simulation.free_links must equal."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ from tasks.simulation.reference import empty_world
 from tasks.world import LinkStates, Medium, Physics
 
 
-def add_link(box2d: Any, half_width: float, half_height: float, physics: Physics, **pose: Any) -> Any:
+def add_link(box2d: Any, half_width: float, half_height: float, physics: Physics) -> Any:
     """Create a link that is a body by itself and passes through all others; return the body."""
-    body = box2d.CreateDynamicBody(allowSleep=False, **pose)
+    body = box2d.CreateDynamicBody(allowSleep=False)
     body.CreatePolygonFixture(
         box=(half_width, half_height),
         density=physics.link_density,

@@ -50,23 +50,19 @@ class Marked:
 
 
 @contextlib.contextmanager
-def started(
-    words: Sequence[str | Path], log: Path, environment: dict[str, str], *, terminal: int | None = None, **options: Any
-) -> Iterator[Marked]:
+def started(words: Sequence[str | Path], log: Path, environment: dict[str, str], **options: Any) -> Iterator[Marked]:
     """Start a process; kill whatever is left of its family at the end.
 
     Args:
         words: its command.
         log: the file that receives what it says.
         environment: its environment, without the mark.
-        terminal: descriptor of the terminal that receives what it says instead.
         options: other options of subprocess.Popen.
     """
     mark = secrets.token_hex(16)
     with log.open("wb") as sink:
-        out = sink if terminal is None else terminal
         process = subprocess.Popen(
-            words, stdout=out, stderr=out, env={**environment, "PUDDLE_MARK": mark}, start_new_session=True, **options
+            words, stdout=sink, stderr=sink, env={**environment, "PUDDLE_MARK": mark}, start_new_session=True, **options
         )
     one = Marked(process, mark, log)
     try:

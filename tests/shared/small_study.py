@@ -52,6 +52,11 @@ def tiny(*overrides: str) -> Settings:
     return parse(Settings, TINY, name="tiny", overrides=overrides)
 
 
+def one_trial(*overrides: str) -> Settings:
+    """Return its settings with one trial of two work items per arm, on the engine that compiles nothing."""
+    return tiny("grid.n_trials=1", *ON_REFERENCE, *overrides)
+
+
 class Terminal:
     """A terminal and a tracker in one, which record the lines shown."""
 

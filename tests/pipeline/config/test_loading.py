@@ -94,12 +94,6 @@ def test_a_whole_number_may_be_written_with_an_exponent(word: str, number: int) 
     assert seed == number and type(seed) is int
 
 
-@given(st.floats(allow_nan=False, allow_infinity=False, min_value=1e-300, max_value=2000.0))
-def test_every_float_arrives_exactly(number: float) -> None:
-    assert read(f"slush:\n  density: {number!r}").slush.density == number
-    assert read("", f"slush.density={number!r}").slush.density == number
-
-
 SETTINGS = st.fixed_dictionaries(
     {},
     optional={

@@ -81,18 +81,6 @@ def test_the_arms_have_their_colours_and_names_and_the_paper_is_at_nine_metres(s
     assert PAPER_MARK in deep.svg.decode() and PAPER_MARK not in shallow.svg.decode()
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("fitness_curves", ("depth 1 m", "depth 9 m", "True Slush")),
-        ("data_set", ("1 m × 1 m, 3 throws", "3 m × 0.33 m, 3 throws")),
-        ("transfer_across_depths", ("zero-shot", "controller adapted", "Dry Land")),
-    ],
-)
-def test_what_a_figure_says(drawn, name, words):
-    assert set(words) <= set(texts(drawn[name]))
-
-
 def test_a_study_that_has_only_begun_draws_nothing(study):
     assert draw_all(StudyPage(study.settings)) == {}
 

@@ -21,7 +21,7 @@ from pipeline.store.design_file import design_json
 from pipeline.store.store import FailedChain, Store
 from tasks.evolution import OPERATORS
 from tasks.simulation import simulate
-from tasks.world import ResidualSlush, TrueSlush
+from tasks.world import TrueSlush
 
 N_TRIALS, POPULATION, N_GENERATIONS = 2, 4, 4
 ARMS = ("true_slush", "dry_land", "residual_slush", "single_member")
@@ -104,14 +104,12 @@ def test_a_champion_scores_again_what_the_table_says(opened, settings):
     champions = opened.champions()
     assert champions.column_names[:7] == [*KEYS, "predicted", "zero_shot", "adapted", "design_json"]
     assert len(champions) == len(ARMS) * N_TRIALS
-    settle = {"n_settle": settings.rollout.n_settle, "n_measure": settings.rollout.n_measure}
     for row in champions.to_pylist():
         assert (row["adapted"] is None) == (row["environment"] != "dry_land")
         champion = opened.champion(row["environment"], depth=1.0, trial=row["trial"])
         assert len(champion) == 1 and design_json(champion).decode() == row["design_json"]
-        assert simulate(champion, TrueSlush(depth=1.0), **settle).displacement[0] == row["zero_shot"]
         if row["environment"] == "residual_slush":
-            under = simulate(champion, ResidualSlush(depth=1.0, ensemble=opened.ensemble()), **settle).displacement
+            under = opened.simulate(champion, "residual_slush", depth=1.0).displacement
             assert (under.mean(), under.std()) == (row["predicted"], row["predicted_sd"])
             assert row["fitness"] == pytest.approx(under.mean() - under.std(), rel=1e-12)
         else:
@@ -149,13 +147,15 @@ def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_pa
         begun.ensemble()
 
 
-def test_designs_are_simulated_as_in_the_study(opened):
+def test_designs_are_simulated_as_in_the_study(opened, settings):
+    steps = {"n_settle": settings.rollout.n_settle, "n_measure": settings.rollout.n_measure}
     for row in opened.champions().to_pylist():
-        at = {name: row[name] for name in ("environment", "depth", "trial")}
+        at = {name: row[name] for name in KEYS}
         champion = opened.champion(**at)
         here = opened.simulate(champion, **at)
         assert here.displacement.mean() == pytest.approx(row["predicted"], abs=1e-9)
         assert opened.simulate(champion, "true_slush", depth=row["depth"]).displacement[0] == row["zero_shot"]
+        assert simulate(champion, TrueSlush(depth=row["depth"]), **steps).displacement[0] == row["zero_shot"]
         if row["adapted"] is not None:
             adapted = opened.champion(**at, adapted=True)
             assert opened.simulate(adapted, "true_slush", depth=row["depth"]).displacement[0] == row["adapted"]

@@ -10,7 +10,7 @@ from pipeline.servo.limits import LONGEST_STEP, clamp
 from tasks.fabrication.calibration import ServoCalibration
 
 
-@settings(max_examples=1000)
+@settings(max_examples=300)
 @given(
     pulses=st.lists(st.floats(400, 2600), min_size=3, max_size=3).map(sorted).filter(lambda p: p[2] - p[0] >= 0.5),
     us_per_rad=st.floats(100, 1200),

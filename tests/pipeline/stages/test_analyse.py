@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 from small_study import files_of, inputs_of, labelled
 
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages.analyse import ANALYSE, read_columns
 from pipeline.stages.assess import ASSESS, read_predictions
-from pipeline.stages.trial_scores import SCORE, scored_trial
-from pipeline.store.encoding import decode_table, encode_json
+from pipeline.stages.trial_scores import scored_trial
+from pipeline.store.encoding import decode_table
 from pipeline.workflow.identity import TrialId
 from tasks.analysis.tables import ANALYSES
 from tasks.design import Designs
@@ -77,17 +76,6 @@ def test_assessed_designs_are_those_of_the_histories(settings, study, prediction
             assert predictions["true"][mine].tolist() == history["displacement"][at, 0].tolist()
 
 
-def test_regressions_are_scipys_on_the_predictions(tables, predictions):
-    table, members = tables["regressions"], predictions["predicted"]
-    mean = members.mean(axis=1)
-    predictors = {"member 1": members[:, 1], "mean": mean, "mean - 1 sd": mean - members.std(axis=1)}
-    for name, x in predictors.items():
-        i = table["name"].tolist().index(name)
-        expected = stats.linregress(x, predictions["true"])
-        found = [table[figure][i] for figure in ("slope", "intercept", "r")]
-        assert found == pytest.approx([expected.slope, expected.intercept, expected.rvalue], rel=1e-9)
-
-
 def test_champions_repeat_the_scores_of_evolution_and_transfer(tables, scores):
     """Where each evolved, with one member or all, and in True Slush: the same numbers to the last bit."""
     columns = ("environment", "depth", "trial", "zero_shot", "predicted")
@@ -125,19 +113,6 @@ def test_failed_trials_leave_the_rest(settings, study):
     scores = tables["scores"]
     status = dict(zip(rows(scores, "environment", "trial"), scores["status"].tolist(), strict=True))
     assert status["dry_land", 1] == "not done" and status["true_slush", 1] == "ok"
-
-
-def test_trials_whose_designs_all_diverged_leave_empty_tables(settings, study):
-    store, upstream = study
-    none = {"status": "no champion: every design of the trial diverged"}
-
-    def change(inputs):
-        return {name: {SCORE: encode_json(none)} if SCORE in files else files for name, files in inputs.items()}
-
-    tables = computed(settings, upstream, store, change)
-    assert set(tables["scores"]["status"]) == {"no champion"}
-    with_rows = {label.split("/")[0] for label, table in tables.items() if len(next(iter(table.values())))}
-    assert with_rows <= {"scores", "transfer", "luck", "regressions", "paper"}
 
 
 def test_the_assessed_depth_is_the_papers_or_the_deepest():

@@ -116,9 +116,8 @@ def test_a_study_its_stage_and_its_trials(tmp_path):
     assert (artifacts / "figures" / "fitness.svg").read_bytes() == b"<svg/>"
 
 
-@pytest.mark.parametrize("name", ["a#b", "a b", "größe"])
-def test_a_store_of_an_odd_name_keeps_its_mirror_inside(tmp_path, name):
-    store = tmp_path / name
+def test_a_store_of_an_odd_name_keeps_its_mirror_inside(tmp_path):
+    store = tmp_path / (name := "a#b größe")
     store.mkdir()
     quiet(store).mirror(STUDY, STAGE)
     assert set(runs(store)) == {("study", "smoke"), ("stage", "evolve")}

@@ -5,8 +5,8 @@ import re
 import shutil
 
 import pytest
-import small_study
-from small_study import ON_REFERENCE, digests, labelled, run
+from small_study import digests, labelled, run
+from small_study import one_trial as tiny
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.settings import Settings
@@ -15,17 +15,6 @@ from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow.graph import require, survey
 from pipeline.workflow.stage import Execution
-
-
-def tiny(*overrides: str) -> Settings:
-    return small_study.tiny("grid.n_trials=1", *ON_REFERENCE, *overrides)
-
-
-@pytest.fixture(scope="module")
-def serial_run(tmp_path_factory):
-    store = Store.open(tmp_path_factory.mktemp("serial") / "store", create=True)
-    with serial_cluster() as cluster:
-        return store, run(tiny(), store, cluster)
 
 
 def test_every_chain_of_every_stage_is_done_and_computed_once(serial_run):
