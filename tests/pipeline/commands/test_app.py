@@ -8,11 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from command_line import call, refused
 
-from pipeline.cluster import serial_cluster
-from pipeline.commands.options import ExecutionOptions, with_options
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -189,26 +186,3 @@ def test_depths_with_the_same_label_are_refused(grid):
 def test_single_members_evolve_only_at_depths_of_the_grid():
     grid = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three").grid
     assert {depth for _, depth, _ in grid.trials()} == {3.0}
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ([], {"address": None, "n_workers": None}),
-        (["--workers", "2"], {"address": None, "n_workers": 2}),
-        (["--address", "auto"], {"address": "auto", "n_workers": None}),
-    ],
-)
-def test_a_study_runs_on_this_machine_unless_an_address_is_given(options, expected, monkeypatch):
-    requested = []
-
-    @with_options
-    def command(execution: ExecutionOptions) -> None:
-        with execution.cluster(on_ray=lambda **where: requested.append(where) or serial_cluster())():
-            pass
-
-    alone = typer.Typer()
-    alone.command()(command)
-    monkeypatch.setenv("RAY_ADDRESS", "http://of-another-tool:8265")
-    alone(options, standalone_mode=False)
-    assert requested == [expected]

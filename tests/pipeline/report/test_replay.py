@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import struct
 from dataclasses import replace
 
@@ -48,15 +47,7 @@ def test_time_passes_as_in_the_rollout(rollout):
     slow = replay_of(design, trace, n_settle=60, time_step=0.05, **WORDS)
     # 180 steps of 0.05 s are measured; two of them make a frame of 0.1 s.
     assert (slow.fps, slow.duration) == (pytest.approx(10.0), pytest.approx(9.0))
-    assert encode(slow)["fps"] == slow.fps
-
-
-def test_encoding_stays_within_half_a_quantum(slush_replay):
-    encoded = encode(slush_replay)
-    assert encoded["quantum"] == QUANTUM
-    # Rounding gives half a quantum; what is left is double precision at 10 m.
-    assert np.abs(decode(encoded) - slush_replay.frames).max() <= QUANTUM / 2 + 1e-9
-    assert json.dumps(encode(slush_replay)) == json.dumps(encoded)
+    assert (encode(slow)["fps"], encode(slow)["quantum"]) == (slow.fps, QUANTUM)
 
 
 @given(
