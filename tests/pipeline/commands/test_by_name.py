@@ -24,9 +24,9 @@ def add_study(store: Store, name: str) -> None:
     [
         ("status", "tiny"),
         ("settings", "tiny"),
-        ("forecast", "tiny"),
+        ("forecast", "--study", "tiny"),
         ("evolve", "tiny", "--workers", "0"),
-        ("study", "tiny", "--workers", "0"),
+        ("study", "--study", "tiny", "--workers", "0"),
     ],
 )
 def test_a_name_takes_the_recorded_settings(words, done, store, capsys):
@@ -73,20 +73,22 @@ def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
     said = refused(capsys, "status", "tiny", "--store", str(store.root))
     assert "study.json: expected a record, found no file" in said
     shutil.rmtree(store.study_path("tiny"))
-    assert "holds no study yet" in refused(capsys, "status", "tiny", "--store", str(store.root))
+    assert "holds no study yet" in refused(capsys, "status", "--study", "tiny", "--store", str(store.root))
     nowhere = str(tmp_path / "nowhere")
-    assert "expected a store" in refused(capsys, "study", "tiny", "--store", nowhere)
+    assert "expected a store" in refused(capsys, "study", "--study", "tiny", "--store", nowhere)
     assert not Path(nowhere).exists()
 
 
+@pytest.mark.parametrize("command", ["study", "simulate"])
 @pytest.mark.parametrize(
-    "words",
+    "chosen",
     [
-        ("study", "tiny", "--settings", "tiny.yaml"),
-        ("study", "tiny", "--preset", "smoke"),
-        ("study", "--preset", "laptop", "--settings", "tiny.yaml"),
-        ("simulate", "docs/design.json", "--depth", "1", "--study", "tiny", "--preset", "smoke"),
+        ("--study", "tiny", "--settings", "tiny.yaml"),
+        ("--study", "tiny", "--preset", "smoke"),
+        ("--preset", "laptop", "--settings", "tiny.yaml"),
     ],
 )
-def test_two_sources_of_settings_are_refused(words, capsys):
-    assert "expected only one of a study's name, --preset and --settings, got " in refused(capsys, *words)
+def test_two_sources_of_settings_are_refused(command, chosen, capsys):
+    design = ["docs/design.json", "--environment", "dry_land", "--depth", "1"] if command == "simulate" else []
+    said = refused(capsys, command, *design, *chosen)
+    assert "expected only one of a study's name, --preset and --settings, got " in said

@@ -50,7 +50,7 @@ def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
     folder, _ = collected
     shutil.copytree(folder / "store", tmp_path / "store")
     for command in ("train", "evolve", "transfer"):
-        assert call(command, "tank", "--store", str(tmp_path / "store"), "--workers", "0") == 0
+        assert call(command, "--study", "tank", "--store", str(tmp_path / "store"), "--workers", "0") == 0
     study = open_study("tank", tmp_path / "store")
     assert study.settings.throws.source == "tracks" and study.settings.throws.n_throws == 4
     ((part,),) = study.upstream["collect"].done.values()
@@ -87,7 +87,7 @@ def test_the_file_may_be_named_beside_other_settings_of_tracks(collected) -> Non
 def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(collected, capsys) -> None:
     folder, _ = collected
     file = folder / "tracks.csv"
-    content, words = file.read_bytes(), ("collect", "tank", "--store", str(folder / "store"))
+    content, words = file.read_bytes(), ("collect", "--study", "tank", "--store", str(folder / "store"))
     file.unlink()
     try:
         assert call(*words, "--workers", "0") == 0
