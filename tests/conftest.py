@@ -41,6 +41,12 @@ TOGETHER = {
         "workflow/test_dispatcher.py",
         "torture/test_order.py",
     ),
+    "kit": (
+        "fabrication/test_bench.py",
+        "fabrication/test_exports.py",
+        "fabrication/test_findings.py",
+        "fabrication/test_parts.py",
+    ),
     "quick_study": ("torture/test_crash_points.py", "torture/test_full_disk.py"),
     "study": (
         "commands/test_app.py",
@@ -78,16 +84,17 @@ LONGEST_FIRST = (
     "parity/test_equals_pybox2d.py",
     "fabrication/test_fabricate.py",
     "architecture/test_changes.py",
+    *TOGETHER["kit"],
+    "commands/test_compare_run.py",
+    "tracks/test_residuals.py",
     *TOGETHER["drawn"],
-    "fabrication/test_exports.py",
     "tracking/test_mirror.py",
     "architecture/test_wheel.py",
-    "fabrication/test_findings.py",
+    "tracking/test_server.py",
     "simulation/test_batch.py",
     "pipeline/test_kernels.py",
     "fabrication/test_servos.py",
     "report/test_films.py",
-    "tracking/test_server.py",
 )
 """The slowest files run first, so that no process is left with one of them at the end."""
 
@@ -144,6 +151,15 @@ def crane() -> Designs:
         motor_on=np.array([[False, False, True, False, True, False]]),
         frequency=np.array([0.2]),
     )
+
+
+@pytest.fixture(scope="session")
+def kit(crane: Designs) -> Any:
+    """Its kit."""
+    from tasks.fabrication.kit import build_kit  # CAD takes seconds to load
+    from tasks.fabrication.kit_settings import KitSettings
+
+    return build_kit(crane, KitSettings())
 
 
 # -- torture ---------------------------------------------------------------------------------------------------------

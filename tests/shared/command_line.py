@@ -4,6 +4,9 @@ import pytest
 
 from pipeline.commands.app import main
 
+WITHOUT_MLFLOW = ("--tracking-uri", "http://127.0.0.1:1")
+"""Options for a study that finds no MLflow server, and so need not import MLflow: seconds of a core."""
+
 
 def call(*arguments: str) -> int:
     """Run `puddle` with arguments; return its exit code."""

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from command_line import WITHOUT_MLFLOW
 from marked_processes import Marked, started
 from small_study import ON_REFERENCE, TINY
 
@@ -23,8 +24,6 @@ ROOT = Path(__file__).parents[2]
 
 ENDLESS = ("--set", "evolution.n_generations=1000000", "--set", "grid.environments=[dry_land]")
 """Options for a study that needs no networks, evolves at once and does not end by itself."""
-WITHOUT_MLFLOW = ("--tracking-uri", "http://127.0.0.1:1")
-"""Options for a driver that finds no MLflow server, and so need not import MLflow: three core-seconds."""
 
 
 @contextlib.contextmanager

@@ -6,8 +6,8 @@ import shapely
 
 from pipeline.fabrication.bench import bench_of, check_floating, check_loads
 from pipeline.fabrication.source import DesignSource
-from tasks.fabrication.kit import Floating, build_kit, floating_of
-from tasks.fabrication.kit_settings import FabricationSettings, KitSettings
+from tasks.fabrication.kit import Floating, floating_of
+from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.fabrication.scaling import JointLoad
 from tasks.fabrication.servos import SERVOS
 
@@ -54,8 +54,7 @@ def test_floating(draught, sealed, flooded, said):
     assert len(found) == (said is not None) and all(said in message for message in found)
 
 
-def test_the_run_and_the_floating_of_a_kit(crane, settings):
-    kit = build_kit(crane, KitSettings())
+def test_the_run_and_the_floating_of_a_kit(crane, kit, settings):
     one_period = settings.rollout.model_copy(update={"n_settle": 60, "n_measure": 300})
     source = DesignSource(crane, "crane", "", settings.model_copy(update={"rollout": one_period}), 1.0, None)
     physics = settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})

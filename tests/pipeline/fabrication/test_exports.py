@@ -14,17 +14,10 @@ from build123d import import_step
 
 from pipeline.fabrication.assembly_drawing import assembly_drawing
 from pipeline.fabrication.exports import exports
-from tasks.fabrication.kit import build_kit
-from tasks.fabrication.kit_settings import KitSettings
 
 ROOT = Path(__file__).parents[3]
 MESHED = 2e-3
 """Relative tolerance: facets miss curved faces by up to 0.05 mm, also in 3 mm holes."""
-
-
-@pytest.fixture(scope="module")
-def kit(crane):
-    return build_kit(crane, KitSettings())
 
 
 @pytest.fixture(scope="module")

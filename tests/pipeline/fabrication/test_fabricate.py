@@ -78,7 +78,7 @@ def test_its_timeline_and_calibration_can_be_played(made, clock, tmp_path):
 
 def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path, capsys):
     shutil.copytree(made / "kit", tmp_path / "kit")
-    arguments = (str(made / "crane.json"), "--out", str(tmp_path / "kit"))
+    arguments = (str(made / "crane.json"), "--out", str(tmp_path / "kit"), "--preset", "laptop")
     assert call("fabricate", *arguments, "--set", "kit.servo=mg90s", "--set", "kit.horn=cross") == 1
     said = capsys.readouterr().out
     assert "fault    joint" in said and "too weak or too slow" in said and "mg90s" in said

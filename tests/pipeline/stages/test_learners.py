@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from command_line import call
+from command_line import WITHOUT_MLFLOW, call
 from small_study import TINY
 
 import puddle
@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
     (folder / "tiny.yaml").write_text(TINY)
     changes = [word for change in LISTED for word in ("--set", change)]
     where = ["--settings", str(folder / "tiny.yaml"), "--store", str(folder / "store")]
-    assert call("study", "--workers", "0", *where, *changes) == 0
+    assert call("study", "--workers", "0", *WITHOUT_MLFLOW, *where, *changes) == 0
     return folder
 
 
