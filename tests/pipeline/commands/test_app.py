@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import call, refused
+from command_line import WITHOUT_MLFLOW, call, refused
 
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
@@ -53,7 +53,7 @@ def check_headline(said: str, page: Path, store: str) -> None:
 
 def test_a_study_from_the_command_line(finished, capsys):
     store = Path(finished[-1])
-    assert call("study", "--workers", "0", *finished) == 0
+    assert call("study", "--workers", "0", *WITHOUT_MLFLOW, *finished) == 0
     page = store / "studies" / "tiny" / "report" / "index.html"
     check_headline(capsys.readouterr().out, page, finished[-1])
     assert page.read_text().lower().startswith("<!doctype html>")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import call, refused
+from command_line import WITHOUT_MLFLOW, call, refused
 from small_study import labelled
 from tank import filmed, write_tracks
 
@@ -37,7 +37,7 @@ def collected(tmp_path_factory) -> tuple[Path, list[str]]:
     options = ["--settings", str(folder / "plain.yaml"), "--store", str(folder / "store"), "--workers", "0"]
     with pytest.MonkeyPatch.context() as briefly:
         briefly.setitem(residual_transitions.__kwdefaults__, "n_iterations", 10)
-        assert call("collect", "--tracks", str(folder / "tracks.csv"), *options) == 0
+        assert call("collect", "--tracks", str(folder / "tracks.csv"), *options, *WITHOUT_MLFLOW) == 0
     return folder, options
 
 
@@ -50,7 +50,8 @@ def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
     folder, _ = collected
     shutil.copytree(folder / "store", tmp_path / "store")
     for command in ("train", "evolve", "transfer"):
-        assert call(command, "--study", "tank", "--store", str(tmp_path / "store"), "--workers", "0") == 0
+        where = ("--study", "tank", "--store", str(tmp_path / "store"), "--workers", "0")
+        assert call(command, *where, *WITHOUT_MLFLOW) == 0
     study = open_study("tank", tmp_path / "store")
     assert study.settings.throws.source == "tracks" and study.settings.throws.n_throws == 4
     ((part,),) = study.upstream["collect"].done.values()

@@ -258,6 +258,11 @@ def test_the_artifacts_of_a_moved_store_move_with_it(store, tmp_path_factory):
     assert not store.exists()
 
 
+@pytest.fixture(scope="module")
+def sound_database(tmp_path_factory) -> Path:
+    return make_database(tmp_path_factory.mktemp("sound"))
+
+
 def of_version(database: Path, version: str) -> None:
     with contextlib.closing(sqlite3.connect(database)) as connection:
         connection.execute("UPDATE alembic_version SET version_num = ?", (version,))
@@ -272,8 +277,8 @@ def of_version(database: Path, version: str) -> None:
         (lambda database: database.write_bytes(b"no database at all" * 100), "not a database"),
     ],
 )
-def test_a_database_that_mlflow_cannot_use_is_one_sentence(store, tmp_path, spoil, reason):
-    shutil.copy(make_database(tmp_path / "sound"), store)  # MLflow looks at the version once for each path
+def test_a_database_that_mlflow_cannot_use_is_one_sentence(store, sound_database, spoil, reason):
+    shutil.copy(sound_database, store)  # MLflow looks at the version once for each path
     spoil(store / "mlflow.db")
     said: list[str] = []
     tracker = Tracker(store, say=said.append)
