@@ -216,7 +216,7 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
         joint = servo_joint.joint
         turns, rest = f"part {joint.child + 1} on {joint.parent + 1}", f"{degrees(joint.rest_angle):+.1f}°"
         for side in servo_joint.sides(kit.settings.servos_per_joint):
-            sense = "+ angle" if kit.direction(joint.link, side) > 0 else "− angle"
+            sense = "+ angle" if kit.direction(servo_joint, side) > 0 else "− angle"
             carrier = f"part {servo_joint.carrier + 1}, {side}"
             joints.append([f"{joint.link}", turns, rest, f"±{degrees(joint.reach):.1f}°", carrier, sense])
     y = _table(sheet, x, y, "Joints", joints, (10, 25, 19, 18, 25, 25))

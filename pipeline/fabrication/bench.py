@@ -140,7 +140,7 @@ def _calibration_of(kit: Kit) -> Calibration | None:
                     joint=servo_joint.joint.link,
                     channel=len(servos),
                     centre_us=servo.neutral_us,
-                    direction=kit.direction(servo_joint.joint.link, side),
+                    direction=kit.direction(servo_joint, side),
                     us_per_rad=round(servo.us_per_rad, 3),
                     min_us=round(max(servo.min_pulse_us, servo.neutral_us - reach), 1),
                     max_us=round(min(servo.max_pulse_us, servo.neutral_us + reach), 1),

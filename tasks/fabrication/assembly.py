@@ -42,9 +42,8 @@ class Assembly:
         outer, inward = self.layers.outer[body], self.layers.low_mm(body, self.settings)
         return (not outer, inward) if side == "left" else (outer, self.settings.pitch_mm - inward)
 
-    def direction(self, joint: int, side: str) -> Sense:
+    def direction(self, servo_joint: ServoJoint, side: str) -> Sense:
         """Return 1 if longer pulses turn a joint (its child link) counter-clockwise, x to the right; else -1."""
-        servo_joint = next(servo_joint for servo_joint in self.servo_joints if servo_joint.joint.link == joint)
         return servo_joint.direction(carrier_is_outer=self.layers.outer[servo_joint.carrier], side=side)
 
 

@@ -106,14 +106,11 @@ def joint_loads(
 
     Args:
         joints: (n_joints) numbers of the driven joints.
-        torque: (n_steps, n_joints) torques of the simulated motors [N·m of simulation].
-        speed: (n_steps, n_joints) speeds of the joints [rad/s of simulation].
+        torque, speed: (n_steps, n_joints) torques of the simulated motors [N·m] and speeds of the joints [rad/s].
         scales: Scales from simulation to bench.
-        servo: Servo of every joint.
-        servos_per_joint: Number of servos that share a joint's torque.
+        servo, servos_per_joint: Servo of every joint, and how many share its torque.
         max_motor_torque: Torque limit of the simulated motors [N·m of simulation].
-        commanded_speed: (n_joints) highest speeds commanded [rad/s of simulation]. A servo follows
-            its timeline, while the simulated joint may lag behind.
+        commanded_speed: (n_joints) highest speeds commanded [rad/s of simulation], behind which a joint may lag.
     """
     commanded = np.asarray(commanded_speed) * scales.frequency
     asked = torque.astype(np.float64) * scales.torque / servos_per_joint

@@ -74,9 +74,6 @@ def precision_weights(residual: Float32, residual_sd: Float32) -> Float32:
 
     The weight is f² / (f² + sd²). The floor f is a tenth of the residuals' deviation, far below what networks of a
     study get wrong: that a residual is known better than so earns it no more weight.
-
-    Args:
-        residual, residual_sd: (n_rows, 6) residuals and their deviations.
     """
     floor = np.maximum(_FLOOR * residual.std(axis=0, dtype=np.float64), np.finfo(np.float32).tiny)
     weights: Float32 = (1 / (1 + np.square(residual_sd / floor))).astype(np.float32)

@@ -33,11 +33,8 @@ def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> 
 
         centre = origin + R p      angle = body's + own      r = R d      v = v_body + ω × r = (vx - ω r_y, vy + ω r_x)
 
-    Args:
-        rigid: bodies of n_designs designs.
-        body: (n_members, n_designs, n_links, 6) state of each link's body.
-        cos: (n_members, n_designs, n_links) cosine of the body's angle, with Box2D's bits.
-        sin: (n_members, n_designs, n_links) sine of the body's angle.
+    ``body`` is the (n_members, n_designs, n_links, 6) state of each link's body, ``cos`` and ``sin`` those of its angle
+    with Box2D's bits.
     """
     lever_x = cos * rigid.lever_x - sin * rigid.lever_y
     lever_y = sin * rigid.lever_x + cos * rigid.lever_y
@@ -57,13 +54,7 @@ def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: Ve
 
         dv += (m_i / M) dv_i      dω += (m_i / I) (r_x dv_y - r_y dv_x) + (I_i / I) dω_i
 
-    summed from 0 over the body's links in the order of their indices.
-
-    Args:
-        rigid: bodies of n_designs designs.
-        lever_x: (n_members, n_designs, n_links) r_x of :class:`PlacedLinks` [m].
-        lever_y: (n_members, n_designs, n_links) r_y [m].
-        change: velocity changes of the links, of the same shape.
+    summed from 0 over the body's links in the order of their indices. All are (n_members, n_designs, n_links).
     """
     turn = rigid.mass_over_inertia * (lever_x * change.vy - lever_y * change.vx) + rigid.inertia_share * change.omega
     return VelocityChange(

@@ -16,10 +16,11 @@ from tasks.tracks.conventions import Tracks
 from tasks.tracks.free_fall import Fall, check_falls
 from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, length_scale_of, paths_of
-from tasks.tracks.tank_contacts import around, contacts, n_contacts
+from tasks.tracks.tank_contacts import contacts, n_contacts
 from tasks.world import Medium, Physics
 
 _N_FURTHER = 256  # throws in the fitted medium
+_NEAR = 3  # intervals before and after a contact, whose steps are left out
 _LONGEST_GAP = 4.0  # typical intervals between a throw's frames; steps in a longer gap are left out
 
 
@@ -111,7 +112,7 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
     real = np.arange(n_steps.max()) < n_steps[:, None]
     gap, last = _gaps(paths), paths.time.shape[1] - 1
     in_gap = _inside(paths, [(throw, frame, frame + 1) for throw, frame in np.argwhere(gap)], time)
-    near = [(throw, max(frame - 1, 0), min(frame + 1, last)) for throw, frame in np.argwhere(around(at))]
+    near = [(throw, max(frame - _NEAR, 0), min(frame + _NEAR, last)) for throw, frame in np.argwhere(at)]
     at_contact = _inside(paths, near, time)
     usable = real & ~in_gap & ~at_contact
     if not usable.any():

@@ -11,7 +11,6 @@ from tasks.arrays import Bools, Float64
 from tasks.tracks.table import SLOWEST_CONTACT, Paths
 
 _SD_OF_CONTACT = 6.0  # of the difference of two positions, that both speeds exceed
-_FRAMES_AROUND = 2  # frames before and after a contact that are left out
 _AT_THE_EDGE = 0.1  # from where bars get farthest out or deepest, at which one may touch a wall or the floor [m]
 _STOPPED = 0.2  # share of its speed that a bar keeps at most, where it stops
 _LEAST_STOPS = 3  # bars that stop at a wall; one alone may have been stopped by drag
@@ -30,15 +29,6 @@ def contacts(paths: Paths, long_axes: Float64, position_sd: tuple[float, float])
     for outward in (-x, x):
         at |= _bounces(paths, outward, x_sd) | _stops(paths, outward, reach_x, x_sd)
     return at
-
-
-def around(at: Bools) -> Bools:
-    """Return the frames at contacts and beside them."""
-    near = at.copy()
-    for shift in range(1, _FRAMES_AROUND + 1):
-        near[:, shift:] |= at[:, :-shift]
-        near[:, :-shift] |= at[:, shift:]
-    return near
 
 
 def n_contacts(at: Bools) -> int:

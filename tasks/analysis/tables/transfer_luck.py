@@ -4,7 +4,6 @@ A rollout repeats itself exactly. A champion of the target is the best of all sc
 in it that the next start has not, whereas the target is new to the champions of every other environment.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from tasks.analysis.estimates import Estimate, Mean, mean_of, sample_of, sum_of_means
 from tasks.analysis.registry import OfArm, StudyData, analysis, column
 from tasks.analysis.scores import Champion, arms
-from tasks.arrays import Float64
 from tasks.design import Designs, concatenate, jittered
 
 N_STARTS = 32
@@ -42,21 +40,18 @@ def luck(study: StudyData) -> list[LuckRow]:
     rows = []
     for arm in arms(study.trials):
         own = [champion for champion in study.champions if (champion.environment, champion.depth) == arm]
-        one, again = np.array([champion.zero_shot for champion in own]), scored_again(study, own)
+        one = np.array([champion.zero_shot for champion in own])
+        again = np.array([scored_again(study, champion) for champion in own])
         lost = sample_of(one - again, np.array([champion.replicate for champion in own], np.int64))
         known = np.isfinite(one) & np.isfinite(again)
         rows.append(LuckRow(*arm, len(lost), mean_of(one[known]), mean_of(again[known]), sum_of_means(lost)))
     return rows
 
 
-def scored_again(study: StudyData, champions: Sequence[Champion]) -> Float64:
-    """Return (n_champions,) mean displacements of champions of one depth over the starts [m]; NaN if one diverged."""
-    if not champions:
-        return np.empty(0)
-    starts = concatenate([moved_joints(study, champion) for champion in champions])
-    displacement = study.simulate(study.at_target(champions[0].depth), starts).displacement
-    means: Float64 = displacement.reshape(len(champions), N_STARTS).mean(axis=1)
-    return means
+def scored_again(study: StudyData, champion: Champion) -> float:
+    """Return a champion's mean displacement over the starts [m]; NaN if one diverged."""
+    rollouts = study.simulate(study.at_target(champion.depth), moved_joints(study, champion))
+    return float(rollouts.displacement.mean())
 
 
 def moved_joints(study: StudyData, champion: Champion) -> Designs:

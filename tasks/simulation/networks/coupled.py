@@ -119,8 +119,7 @@ def _read_wetted(copies: LinkCopies, observed: Int64) -> None:
         vx, vy = robots[robot + observed[4] * stride], robots[robot + observed[5] * stride]
         omega = robots[robot + observed[6] * stride]
         width = _ONE / a
-        rise_short, rise_long, depth = immersion(a, width, y, cos, sin)
-        area, second_moment = submerged_part(a, width, rise_short, rise_long, depth)
+        area, second_moment = submerged_part(a, width, immersion(a, width, y, cos, sin))
         share = second_moment * _TWELVE / (width * width + a * a)
         along, across = cos * vy - sin * vx, cos * vx + sin * vy
         x[k], x[k + n], x[k + 2 * n], x[k + 3 * n] = area, share, cos, sin

@@ -55,12 +55,11 @@ def _submerge(robot: RobotRecord, scene: Scene) -> None:
     """Compute the velocity changes of the links by the slush."""
     for index in range(scene.n_links):
         link = robot.links[index]
-        rise_short, rise_long, depth = immersion(link.length_scale, link.width, link.y, link.cos, link.sin)
-        if depth > 0.0:
-            velocity = link.vx, link.vy, link.omega
-            link.change_vx, link.change_vy, link.change_omega = slush_change(
-                link.length_scale, link.width, link.mass, link.inertia, velocity, rise_short, rise_long, depth, scene
-            )
+        immersed = immersion(link.length_scale, link.width, link.y, link.cos, link.sin)
+        if immersed[2] > 0.0:
+            sizes, velocity = (link.length_scale, link.width, link.mass, link.inertia), (link.vx, link.vy, link.omega)
+            change = slush_change(sizes, velocity, immersed, scene)
+            link.change_vx, link.change_vy, link.change_omega = change
 
 
 @inline

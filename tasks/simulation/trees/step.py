@@ -87,10 +87,9 @@ def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Nu
 
 
 @inline
-def submerged_part(
-    length: Numeric, width: Numeric, rise_short: Numeric, rise_long: Numeric, depth: Numeric
-) -> tuple[Numeric, Numeric]:
+def submerged_part(length: Numeric, width: Numeric, immersed: tuple[Numeric, ...]) -> tuple[Numeric, Numeric]:
     """Return the submerged area [m²] and its second moment [m⁴] by a link's :func:`immersion`; as in slush.py."""
+    rise_short, rise_long, depth = immersed
     per_short = _HALF / select(rise_short > _TINY, rise_short, _TINY)
     per_long = _HALF / select(rise_long > _TINY, rise_long, _TINY)
     t1, t2 = _share(depth * per_short), _share(depth * per_long)
@@ -106,21 +105,14 @@ def submerged_part(
 
 @inline
 def slush_change(
-    length: Numeric,
-    width: Numeric,
-    mass: Numeric,
-    inertia: Numeric,
-    velocity: tuple[Numeric, ...],
-    rise_short: Numeric,
-    rise_long: Numeric,
-    depth: Numeric,
-    scene: Scene,
+    sizes: tuple[Numeric, ...], velocity: tuple[Numeric, ...], immersed: tuple[Numeric, ...], scene: Scene
 ) -> tuple[Numeric, ...]:
     """Return the changes of vx, vy [m/s] and omega [rad/s] by the slush in one step; see tasks/world/slush.py.
 
-    ``rise_short``, ``rise_long`` and ``depth`` [m], above 0, are those of :func:`immersion`.
+    ``sizes`` are a link's length, width, mass and inertia, ``immersed`` its :func:`immersion`, with a depth above 0.
     """
-    area, second_moment = submerged_part(length, width, rise_short, rise_long, depth)
+    length, width, mass, inertia = sizes
+    area, second_moment = submerged_part(length, width, immersed)
     vx, vy, omega = velocity
     k_dt = scene.drag * area / mass
     k_r_dt = scene.angular_drag * second_moment / inertia
@@ -136,13 +128,11 @@ def slush_change(
 def _submerge(block: Block, link: int, scene: Scene) -> None:
     """Add the slush's velocity change to a link, unless it is dry in all lanes."""
     length, width = _TWO * block[at.HALF_HEIGHT + link], block[at.SHORT_AXIS + link]  # halving was exact
-    rise_short, rise_long, depth = immersion(
-        length, width, block[at.Y + link], block[at.COS + link], block[at.SIN + link]
-    )
-    if any_lane(depth > 0.0):
+    immersed = immersion(length, width, block[at.Y + link], block[at.COS + link], block[at.SIN + link])
+    if any_lane(immersed[2] > 0.0):
         velocity = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
-        mass, inertia = block[at.MASS + link], block[at.INERTIA + link]
-        change = slush_change(length, width, mass, inertia, velocity, rise_short, rise_long, depth, scene)
+        sizes = length, width, block[at.MASS + link], block[at.INERTIA + link]
+        change = slush_change(sizes, velocity, immersed, scene)
         block[at.VX + link], block[at.VY + link] = velocity[0] + change[0], velocity[1] + change[1]
         block[at.OMEGA + link] = velocity[2] + change[2]
 
