@@ -112,41 +112,62 @@ def variants(results: Results) -> Iterable[Variant]:
         best = fmean(one["zero_shot"] for one in study["champions"] if one["environment"] == "true_slush")
         for arm in (arm for arm in study["arms"] if arm["environment"] != "true_slush"):
             champions = [one for one in study["champions"] if one["environment"] == arm["environment"]]
-            n_exploiters = sum(one["zero_shot"] < one["predicted"] / 2 for one in champions)
             by_data_set = tuple(
                 fmean(one["zero_shot"] for one in champions if one["trial"] % study["n_replicates"] == k) / best
                 for k in range(study["n_replicates"])
             )
             varied = study["variant"] if "throws" in study["series"] else f"{study['series']} {study['variant']}"
             predicted, true = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
-            exploiters = f"{n_exploiters} of {len(champions)}"
+            exploiters = _exploiters(study, arm["environment"])
             label = _label(arm["environment"])
             yield Variant(varied, label, predicted, true, true / best, by_data_set, exploiters)
 
 
 @dataclass(frozen=True)
 class ByThrows:
-    """The share of *E* that robots reach zero-shot, by the throws that their networks learned from."""
+    """How far robots of designed throws go, by the number of throws and the form of the networks."""
 
-    n_throws: int = column("throws", form="{}")
-    wetted_9m: Estimate | None = column("wetted, 9 m", form="{:z.0%}")
-    plain_9m: Estimate | None = column("plain, 9 m", form="{:z.0%}")
-    wetted_2m: Estimate | None = column("wetted, 2 m", form="{:z.0%}")
-    plain_2m: Estimate | None = column("plain, 2 m", form="{:z.0%}")
+    throws: str = column("", form="{}")
+    predicted: float = column("predicted", "m")
+    zero_shot: float = column("zero-shot", "m")
+    of_best: Estimate = column("of *E*", form="{:z.0%}")
+    adapted: Estimate = column("adapted, of *E*", form="{:z.0%}")
+    exploiters: str = column("exploiters", form="{}")
 
 
 def throws(results: Results) -> Iterable[ByThrows]:
-    """Tabulate shares of *E* by the number of designed throws, the form of the networks, and depth."""
-    studies = {(one["n_throws"], one["form"], one["depth"]): one for one in results["studies"]}
-    for n in sorted({n for n, _, _ in studies}):
-        found = ((n, form, depth) for depth in (9.0, 2.0) for form in ("wetted", "plain"))
+    """Tabulate studies that differ in throws, networks and depth."""
+    for study in results["studies"]:
+        (arm,) = study["arms"]
+        name, depth = arm["environment"], study["depth"]
+        of = (_share(study, name, score, depth) for score in ("zero_shot", "adapted"))
+        means = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
         yield ByThrows(
-            n,
-            *(
-                _share(studies[key], "designed_throws", "zero_shot", key[2]) if key in studies else None
-                for key in found
-            ),
+            f"{study['form']}, {study['n_throws']} throws, {depth:g} m", *means, *of, _exploiters(study, name)
         )
+
+
+@dataclass(frozen=True)
+class InFluid:
+    """How far robots of a few throws go in another fluid, as a share of those that evolved in it."""
+
+    fluid: str = column("fluid", form="{}")
+    best: float = column("*E*", "m")
+    of_25: Estimate = column("25 throws, of *E*", form="{:z.0%}")
+    exploiters_25: str = column("exploiters", form="{}")
+    of_100: Estimate = column("100 throws, of *E*", form="{:z.0%}")
+    exploiters_100: str = column("exploiters", form="{}")
+
+
+def fluids(results: Results) -> Iterable[InFluid]:
+    """Tabulate studies whose target is another fluid."""
+    for study in results["studies"]:
+        best = _sample(study, study["fluid"], "zero_shot", study["depth"], 1)
+        row: list[Any] = [study["label"], fmean(best.values)]
+        for learner in ("t25", "t100"):
+            of = _sample(study, learner, "zero_shot", study["depth"], study["n_replicates"])
+            row += [ratio(of, best, rng=np.random.default_rng(0)), _exploiters(study, learner)]
+        yield InFluid(*row)
 
 
 @dataclass(frozen=True)
@@ -202,6 +223,7 @@ TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
     "verdicts": (Beside, verdicts),
     "variants": (Variant, variants),
     "throws": (ByThrows, throws),
+    "fluids": (InFluid, fluids),
     "open_choices": (Choice, open_choices),
     "sensitivity": (Choice, sensitivity),
     "bench": (Bench, bench),
@@ -213,17 +235,23 @@ def _label(environment: str) -> str:
     return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
 
 
+def _exploiters(study: Results, environment: str) -> str:
+    """Count champions of an arm that travel less than half of their prediction."""
+    own = [one for one in study["champions"] if one["environment"] == environment]
+    return f"{sum(one['zero_shot'] < one['predicted'] / 2 for one in own)} of {len(own)}"
+
+
 def _share(study: Results, environment: str, score: str, depth: float = paper.DEPTH) -> Estimate:
     """Estimate an arm's share of *E* zero-shot."""
-    best = _sample(study, "true_slush", "zero_shot", depth)
-    return ratio(_sample(study, environment, score, depth), best, rng=np.random.default_rng(0))
+    best = _sample(study, "true_slush", "zero_shot", depth, 1)
+    n_data_sets = study["n_replicates"] if environment_kind(environment).learned else 1
+    return ratio(_sample(study, environment, score, depth, n_data_sets), best, rng=np.random.default_rng(0))
 
 
-def _sample(study: Results, environment: str, score: str, depth: float) -> Sample:
+def _sample(study: Results, environment: str, score: str, depth: float, n_data_sets: int) -> Sample:
     """Return the champions of an arm at a depth; those that learned from the same data set belong together."""
     rows = [one for one in study["champions"] if (one["environment"], one["depth"]) == (environment, depth)]
-    n = study["n_replicates"] if environment_kind(environment).learned else 1
-    return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n for row in rows]))
+    return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows]))
 
 
 def _section(found: re.Match[str], page: Path) -> str:
