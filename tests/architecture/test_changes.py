@@ -40,6 +40,7 @@ from small_study import run
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow.record import DrivenStudy
 
@@ -51,7 +52,7 @@ searched = parse(Settings, given, name="searched", overrides=changes)
 store = Store.open(Path("store"), create=True)
 with serial_cluster() as cluster:
     upstream = run(settings, store, cluster)
-    DrivenStudy(searched, store, print).update(run(searched, store, cluster))
+    DrivenStudy(searched, store, print).update(run(searched, store, cluster, STAGES[:4]))  # to the transfer
 DrivenStudy(settings, store, print).update(upstream)
 for stage, results in upstream.items():
     for chain, manifests in results.done.items():
