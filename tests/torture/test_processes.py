@@ -7,6 +7,7 @@ import ipaddress
 import os
 import re
 import signal
+import sqlite3
 import sys
 import time
 from collections.abc import Iterator
@@ -99,3 +100,16 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
                 assert "the same command" in one.said()  # how to continue
         if (folder / "store" / "store.json").exists():
             assert Store.open(folder / "store", create=False).verify() == []
+
+
+def test_two_studies_at_once_on_one_store_and_one_database(torture, tmp_path: Path):
+    if not torture.large:
+        pytest.skip("only with --torture: two drivers import MLflow")
+    options = ("--workers", "0", "--set", "grid.environments=[dry_land]")
+    with driver(tmp_path, *options) as one, driver(tmp_path, *options, "--set", "name=other") as other:
+        for each in (one, other):
+            assert each.process.wait(here(200.0)) == 0, each.said()
+    store = Store.open(tmp_path / "store", create=False)
+    assert store.verify() == [] and sorted(store.studies()) == ["other", "tiny"]
+    with contextlib.closing(sqlite3.connect(store.root / "mlflow.db")) as database:
+        assert {("other",), ("tiny",)} <= set(database.execute("SELECT name FROM runs"))

@@ -232,7 +232,10 @@ assert hook({"working_dir": "/"})["py_executable"].startswith("uv run --no-sync"
         (tmp_path / name).write_text("raise ImportError('this is a file of the user')")
     (tmp_path / "run").write_text('shift\n"$@"\nexit $?\n')  # for the shell, whose name and first word are uv's
     words = ["uv", "run", "--no-sync", sys.executable, "-P", "-c", driver]  # -P: as the script `puddle`
-    ran = subprocess.run(words, executable="/bin/sh", cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    environment = os.environ | {"RAY_ADDRESS": "http://elsewhere:8265"}
+    ran = subprocess.run(
+        words, executable="/bin/sh", cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200
+    )
     assert ran.returncode == 0, ran.stderr
 
 
