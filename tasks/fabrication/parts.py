@@ -18,7 +18,7 @@ from tasks.fabrication.features import Feature, cradle_features, horn_features, 
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.profile import Profile, SolidError, cradle_boss, horn_boss, polygon_of
 from tasks.fabrication.servo_joints import ServoJoint
-from tasks.fabrication.splits import bed_mm, turn_to_fit
+from tasks.fabrication.splits import MIN_PIECE_MM2, bed_mm, turn_to_fit
 from tasks.fabrication.throwing_bars import ThrowingBar
 
 _VOLUME_TOLERANCE = 5e-4  # relative; the analytic volume uses chords for arcs
@@ -133,11 +133,15 @@ def _slice(name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: floa
 
 
 def _cut_out(name: str, profile: Profile, features: Sequence[Feature], thickness: float, n_pieces: int) -> list[Solid]:
-    """Cut features out of an extruded outline, and check the number of solids and their volume."""
+    """Cut features out of an extruded outline, and check the number of solids and their volume.
+
+    A cut that grazes an edge leaves crumbs, which are no pieces.
+    """
     whole, tools = extrude(profile.face, thickness), [_tool(feature) for feature in features]
-    solids: list[Solid] = (whole.cut(*tools) if tools else whole).solids()
+    cut: list[Solid] = (whole.cut(*tools) if tools else whole).solids()
     expected = _volume_mm3(profile, features, thickness)
-    volume = sum(solid.volume for solid in solids)
+    volume = sum(solid.volume for solid in cut)
+    solids = [solid for solid in cut if solid.volume > MIN_PIECE_MM2 * thickness]
     if len(solids) != n_pieces or not all(solid.is_valid for solid in solids):
         raise SolidError(
             f"{name}: expected {n_pieces} valid solids, got {len(solids)} ({sum(s.is_valid for s in solids)} valid)"

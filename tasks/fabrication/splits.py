@@ -19,7 +19,7 @@ _MAX_CUTS = 12  # more than any design of six links needs on a bed of 100 mm
 _MAX_LENGTH = 1.3  # of a cut, in widths of the link; a longer one runs into another link
 _OVERRUN_MM = 1.0  # of a cut beyond the outline
 _ROUNDING_MM = 1e-6
-_MIN_PIECE_MM2 = 1.0
+MIN_PIECE_MM2 = 1.0  # less are crumbs of a cut that grazes an edge
 _MIN_GAIN = 1e-9  # in bed sizes, so that rounding errors do not choose between equal cuts
 _NECK, _HEAD, _DEPTH = 0.32, 0.46, 0.28  # narrowest and widest place and depth of a dovetail, in lengths of the cut
 
@@ -86,7 +86,7 @@ def _best_cut(
                 cut = _dovetail(chord, flip).buffer(
                     settings.split_clearance_mm / 2, join_style="mitre", cap_style="flat"
                 )
-                halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > _MIN_PIECE_MM2]
+                halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > MIN_PIECE_MM2]
                 if len(halves) != 2 or cut.intersects(clear):
                     continue
                 size = max(_size(half, bed_mm(settings)) for half in halves)
