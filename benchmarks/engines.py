@@ -46,6 +46,7 @@ def first_generation() -> list[Benchmark]:
     """Time the first generation of a trial: with compilation of all kernels, then with kernels from the cache."""
     program = (
         "import time\n"
+        "import puddle\n"  # which opens the cache of kernels
         "from functools import partial\n"
         "from tasks.evolution import Afpo, Trial, evaluate, evolve\n"
         "from tasks.seeding import generator\n"
