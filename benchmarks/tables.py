@@ -154,20 +154,16 @@ class InFluid:
     fluid: str = column("fluid", form="{}")
     best: float = column("*E*", "m")
     of_25: Estimate = column("25 throws, of *E*", form="{:z.0%}")
-    exploiters_25: str = column("exploiters", form="{}")
     of_100: Estimate = column("100 throws, of *E*", form="{:z.0%}")
-    exploiters_100: str = column("exploiters", form="{}")
 
 
 def fluids(results: Results) -> Iterable[InFluid]:
     """Tabulate studies whose target is another fluid."""
     for study in results["studies"]:
         best = _sample(study, study["fluid"], "zero_shot", study["depth"], 1)
-        row: list[Any] = [study["label"], fmean(best.values)]
-        for learner in ("t25", "t100"):
-            of = _sample(study, learner, "zero_shot", study["depth"], study["n_replicates"])
-            row += [ratio(of, best, rng=np.random.default_rng(0)), _exploiters(study, learner)]
-        yield InFluid(*row)
+        learned = (_sample(study, name, "zero_shot", study["depth"], study["n_replicates"]) for name in ("t25", "t100"))
+        shares = (ratio(of, best, rng=np.random.default_rng(0)) for of in learned)
+        yield InFluid(study["label"], fmean(best.values), *shares)
 
 
 @dataclass(frozen=True)
