@@ -94,5 +94,12 @@ def test_studies_are_compared_at_every_common_depth_and_corrected_together():
     assert same[0].verdict == "agrees" and same[0].p is None
 
 
+@pytest.mark.parametrize(("moved", "verdict"), [(3.0, "differs"), (1.0, "agrees"), (-1.0, "agrees"), (-3.0, "differs")])
+def test_a_fifth_of_what_the_target_s_robots_travel_is_negligible(moved, verdict):
+    of_b = {("true_slush", 9.0): spread(10, 0.01, 5)}
+    (row,) = compare(trials_of({("true_slush", 9.0): of_b["true_slush", 9.0] + moved}), trials_of(of_b), [(E, E)], E[0])
+    assert row.verdict == verdict
+
+
 def test_an_arm_is_written_as_readers_know_it():
     assert written_arm("residual_slush/adapted") == "Residual Slush adapted" and written_arm("B") == "B"
