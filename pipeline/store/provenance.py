@@ -13,12 +13,19 @@ _PACKAGES = ("puddle", "Box2D", "mlflow", "numba", "numpy", "pyarrow", "ray", "s
 def environment() -> dict[str, str]:
     """Return the versions of Python and the packages, the commit of the code, the system and the CPU's model."""
     return {
-        **{one.name: one.version for one in importlib.metadata.distributions() if one.name in _PACKAGES},
+        **{package: _version(package) for package in _PACKAGES},
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "cpu": _cpu_model(),
         "commit": _commit(Path(__file__).resolve().parents[2]),
     }
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def _commit(checkout: Path) -> str:

@@ -13,6 +13,7 @@ from one_item import FILES, IDENTITY, KEY, RECORD, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
 from pipeline.store.encoding import digest, encode_document
+from pipeline.store.provenance import _PACKAGES, environment
 from pipeline.store.store import Store, StudyItem, StudyRecord
 
 # -- what it is for --------------------------------------------------------------------------------------------------
@@ -41,6 +42,11 @@ def test_a_manifest_describes_the_item_and_where_it_was_made(store: Store, tmp_p
     other = Store.open(tmp_path / "other", create=True)
     again = other.commit("evolve", IDENTITY, dict(reversed(FILES.items())), record={"seconds": 99})
     assert again.digest == committed.digest
+
+
+def test_versions_are_listed_in_one_order_as_the_page_shows_them() -> None:
+    """The folder of packages lists them in an order that differs from process to process."""
+    assert list(environment()) == [*_PACKAGES, "python", "system", "cpu", "commit"]
 
 
 def test_a_result_computed_twice_must_be_equal(store: Store) -> None:
