@@ -140,7 +140,9 @@ def throws(results: Results) -> Iterable[ByThrows]:
     for study in results["studies"]:
         (arm,) = study["arms"]
         name, depth = arm["environment"], study["depth"]
-        of = (_share(study, name, score, depth) for score in ("zero_shot", "adapted"))
+        best = _sample(study, "true_slush", "zero_shot", depth, 1)
+        learned = (_sample(study, name, score, depth, study["n_replicates"]) for score in ("zero_shot", "adapted"))
+        of = (ratio(sample, best, rng=np.random.default_rng(0)) for sample in learned)
         means = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
         yield ByThrows(
             f"{study['form']}, {study['n_throws']} throws, {depth:g} m", *means, *of, _exploiters(study, name)
@@ -164,6 +166,32 @@ def fluids(results: Results) -> Iterable[InFluid]:
         learned = (_sample(study, name, "zero_shot", study["depth"], study["n_replicates"]) for name in ("t25", "t100"))
         shares = (ratio(of, best, rng=np.random.default_rng(0)) for of in learned)
         yield InFluid(study["label"], fmean(best.values), *shares)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """How far robots of tracked throws go, as a share of those of exact states."""
+
+    learned_from: str = column("learned from", form="{}")
+    predicted: float = column("predicted", "m")
+    true: float = column("true", "m")
+    of_exact: Estimate | None = column("of those of exact states", form="{:z.0%}")
+    by_data_set: tuple[float, ...] = column("by data set", form=lambda of: ", ".join(f"{share:z.0%}" for share in of))
+
+
+def tank(results: Results) -> Iterable[Tracked]:
+    """Tabulate studies of tracked throws; the first is that of exact states."""
+    samples = {
+        score: [_sample(study, "residual_slush", score, study["depth"], 5) for study in results["studies"]]
+        for score in ("predicted", "zero_shot")
+    }
+    exact = samples["zero_shot"][0]
+    for study, predicted, true in zip(results["studies"], samples["predicted"], samples["zero_shot"], strict=True):
+        share = None if true is exact else ratio(true, exact, rng=np.random.default_rng(0))
+        by_data_set = tuple(
+            float(true.values[true.replicate == k].mean() / fmean(exact.values)) for k in np.unique(true.replicate)
+        )
+        yield Tracked(study["learned_from"], fmean(predicted.values), fmean(true.values), share, by_data_set)
 
 
 @dataclass(frozen=True)
@@ -220,6 +248,7 @@ TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
     "variants": (Variant, variants),
     "throws": (ByThrows, throws),
     "fluids": (InFluid, fluids),
+    "tank": (Tracked, tank),
     "open_choices": (Choice, open_choices),
     "sensitivity": (Choice, sensitivity),
     "bench": (Bench, bench),
