@@ -15,7 +15,7 @@ from pipeline.commands.options import (
     StudyName,
     with_options,
 )
-from pipeline.commands.terminal import INCOMPLETE, to_stdout
+from pipeline.commands.terminal import INCOMPLETE, to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 
@@ -68,7 +68,7 @@ def fabricate(
     if design is not None:
         source = from_file(design, SettingsOptions(preset=preset or "pontoon", store=store).settings())
     else:
-        source = proposed(open_study(str(study), store))
+        source = proposed(open_study(str(study), store, say=to_stderr))
     lines, n_faults = make(source, of_kit, out)
     to_stdout(*lines)
     if n_faults:

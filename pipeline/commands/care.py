@@ -94,7 +94,10 @@ def forecast(
     """
     from pipeline.cluster.process import number_of_cores
     from pipeline.commands.time_model import forecast_stages, training_gpu_seconds
+    from pipeline.errors import PuddleError
 
+    if gpu_price and not gpu_tflops:
+        raise PuddleError("--gpu-price: expected with --gpu-tflops, which tells the time")
     settings = options.settings()
     stages = forecast_stages(settings, options.find_store())
     n_cores = cores or number_of_cores()

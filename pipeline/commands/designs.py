@@ -36,8 +36,7 @@ def simulate(
 @with_options
 def score(
     designs: Annotated[
-        Path,
-        typer.Argument(help="A table of designs: Parquet (as `puddle export` writes), or design files line by line."),
+        Path, typer.Argument(help="A table of designs (.parquet, as `puddle export` writes), or a design file.")
     ],
     depth: _Depth,
     options: SettingsOptions,

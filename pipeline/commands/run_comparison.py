@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.commands.options import output_suffix
+from pipeline.commands.terminal import to_stderr
 from pipeline.config.loading import load
 from pipeline.config.settings import RolloutSettings
 from pipeline.errors import PuddleError
@@ -60,7 +61,7 @@ def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Pa
     output_suffix(out, (".html",))
     robot = read_kit(kit)
     if study is not None:
-        robot = _predicted(robot, open_study(study, store))
+        robot = _predicted(robot, open_study(study, store, say=to_stderr))
     paths, lines = _link_paths(source)
     try:
         comparison = compare_with_simulation(robot, paths)

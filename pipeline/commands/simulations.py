@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.commands.options import SettingsOptions, output_suffix
+from pipeline.commands.terminal import to_stderr
 from pipeline.config.settings import DEEPEST, Settings
 from pipeline.errors import PuddleError
 from pipeline.report.films import RENDERERS
@@ -192,7 +193,10 @@ def _optional_networks(options: SettingsOptions, settings: Settings) -> _Network
 def _networks(settings: Settings, store: Store, data_set: DataSetId) -> _Networks:
     damage: list[str] = []
     record = store.read_study(settings.name)
-    upstream = survey(settings, (COLLECT, TRAIN), store, record=record, say=damage.append).upstream
+    found = survey(settings, (COLLECT, TRAIN), store, record=record, say=damage.append)
     if damage:
         raise PuddleError(damage[0])
-    return environments.read_networks(ensemble_ids(settings, data_set), upstream, store)
+    networks = environments.read_networks(ensemble_ids(settings, data_set), found.upstream, store)
+    if record is not None and (note := found.note(settings.name)):
+        to_stderr(note)
+    return networks

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pipeline.workflow.stage import AnyStage, Upstream
 
 STAGE_SUMMARIES = {
-    "collect": "Throw rectangles into slush: what the simulator gets wrong.",
+    "collect": "Throw rectangles into the target: what the simulator gets wrong.",
     "train": "Train the ensemble of residual networks on the throws.",
     "evolve": "Evolve designs in every environment, at every depth.",
     "transfer": "Score champions in the target, zero-shot and adapted.",

@@ -30,7 +30,7 @@ from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
 from tasks.residual.wetted import acts_above_water
 from tasks.tracks.conventions import Tracks
-from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush, in_order
+from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush, in_order
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
 
@@ -288,8 +288,15 @@ class Settings(Parameters):
         if self.designed_throws.source == "tracks":
             raise ValueError("designed_throws.source is tracks, but only throws can be tracked: expected simulation")
         for name in self.learners:
-            if (learner := self.learner(name)) and learner.throws.source == "tracks" and not from_tracks:
+            if not (learner := self.learner(name)) or learner.throws.source != "tracks":
+                continue
+            if not from_tracks:
                 raise ValueError(f"learners.{name}.throws.source is tracks, but throws.source is not: expected both")
+            if others := sorted(stated(self.learners[name].throws).keys() - {"source"}):
+                raise ValueError(
+                    f"learners.{name}.throws states {', '.join(others)}, but its throws are the tracked ones of the "
+                    f"file: expected source simulation beside it, or nothing"
+                )
         if from_tracks and self.replicates > 1:
             raise ValueError(
                 f"replicates is {self.replicates} and throws.source is tracks, but there is one set of tracked throws: "
@@ -302,6 +309,11 @@ class Settings(Parameters):
         for name, given in self.learners.items():
             if name in (*ENVIRONMENTS, *THROWS_GROUPS.values()):
                 raise ValueError(f"learners.{name}: the name is taken: expected one of its own, got {name!r}")
+            if not stated(given):
+                what = ", ".join(LearnerSettings.model_fields)
+                raise ValueError(
+                    f"learners.{name}: expected what differs from the study's groups, any of {what}; got {{}}"
+                )
             others = [one for one in stated(given) if one != "single"]
             if given.single is not None and (others or given.single not in ensembles):
                 beside = f" beside {', '.join(others)}" if others else ""
@@ -326,9 +338,7 @@ class Settings(Parameters):
                     one_medium = "an environment of one medium, " if allowed is media else ""
                     raise ValueError(f"{place}: expected {one_medium}any of {', '.join(allowed)}, got {name!r}")
         wetted = [name for name, learner in self.arm_learners.items() if learner.network.form == "wetted"]
-        groups = {group: getattr(self, group) for group in settings_groups()}
-        medium = ENVIRONMENTS[self.target].environment(0.0, groups).medium
-        if wetted and medium is not None and acts_above_water(medium, self.physics):
+        if wetted and self.target_medium and acts_above_water(self.target_medium, self.physics):
             raise ValueError(
                 f"network.form is wetted for {', '.join(wetted)}, but {self.target_label} acts above y = 0, where such "
                 f"networks see nothing: expected plain"
@@ -376,6 +386,12 @@ class Settings(Parameters):
         return ENVIRONMENTS[self.target].label
 
     @property
+    def target_medium(self) -> Medium | None:
+        """The target's medium, with its settings."""
+        groups = {group: getattr(self, group) for group in settings_groups()}
+        return ENVIRONMENTS[self.target].environment(0.0, groups).medium
+
+    @property
     def has_papers_target(self) -> bool:
         """Whether displacements are comparable with the paper's."""
         return self.target == PAPERS_TARGET and self.slush.is_papers
@@ -411,4 +427,5 @@ class Settings(Parameters):
     @property
     def ensembles(self) -> dict[str, Learner]:
         """The learners of the arms' ensembles, by data set; the first ensemble is the main one."""
-        return {one.data_set: replace(one, is_single=False) for one in self.arm_learners.values()}
+        arms = sorted(self.arm_learners.values(), key=lambda one: one.is_single)
+        return {one.data_set: replace(one, is_single=False) for one in arms}

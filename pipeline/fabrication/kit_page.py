@@ -39,7 +39,7 @@ def render_kit(
 ) -> str:
     """Render the page of a kit in a folder of that name, with the findings of kit and bench, faults first."""
     title = f"A robot to build: {source.name}"
-    slush_density = source.settings.slush.density
+    density = getattr(source.settings.target_medium, "density", 0.0)
     body = TEMPLATES.get_template("kit.html").render(
         kit=kit,
         bench=bench,
@@ -57,7 +57,7 @@ def render_kit(
         measures=MEASURES,
         physics=physics,
         frequency=float(source.design.frequency[0]),
-        simulated_share=physics.link_density / slush_density if slush_density > 0 else float("inf"),
+        simulated_share=physics.link_density / density if density > 0 else None,
         settings_yaml=yaml.safe_dump(choices.model_dump(mode="json"), sort_keys=False),
         title=title,
         folder=folder,

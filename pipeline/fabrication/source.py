@@ -12,8 +12,8 @@ from pipeline.store.design_file import read_design
 from pipeline.workflow.stage import MissingInputs
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
-from tasks.simulation import OK, simulate
-from tasks.world import ResidualSlush
+from tasks.simulation import OK
+from tasks.world import EnvironmentName, in_order
 
 _PHYSICAL_DEPTH = 2.0  # of the slush in which a design file is simulated [m]; paper, "Physical Validation"
 
@@ -51,8 +51,8 @@ def from_file(path: Path, settings: Settings) -> DesignSource:
 def proposed(study: Study) -> DesignSource:
     """Select the champion whose zero-shot score is nearest the mean of its arm. Paper, "Physical Validation".
 
-    The arm is Residual Slush if the study has it, at its greatest depth. Raises PuddleError if a champion has not been
-    scored, which would shift the mean, or none survived.
+    The arm is the study's first learner with an ensemble, or else its first arm, at its greatest depth. Raises
+    PuddleError if a champion has not been scored, which would shift the mean, or none survived.
     """
     if n_missing := study.progress["transfer"].missing:
         raise PuddleError(f"study {study.name!r}: {n_missing} champions have no score yet. Run `puddle study` first.")
@@ -61,7 +61,8 @@ def proposed(study: Study) -> DesignSource:
     if not champions:
         raise PuddleError(f"study {study.name!r}: no champion survived {study.settings.target_label}")
     arms = {(row["environment"], row["depth"]) for row in champions}
-    environment, depth = min(arms, key=lambda arm: (arm[0] != "residual_slush", -arm[1], arm[0]))
+    order = [*_ensembles(study), *in_order(environment for environment, _ in arms)]
+    environment, depth = min(arms, key=lambda arm: (order.index(arm[0]), -arm[1]))
     rows = [row for row in champions if (row["environment"], row["depth"]) == (environment, depth)]
     zero_shot = np.array([row["zero_shot"] for row in rows])
     chosen = nearest_the_mean(zero_shot) or 0  # there is one, because all scores are finite
@@ -72,20 +73,27 @@ def proposed(study: Study) -> DesignSource:
         f"It scores {zero_shot[chosen]:+.2f} m in {study.settings.target_label}, nearest to the mean of "
         f"{len(rows)} champions, {zero_shot.mean():+.2f} m."
     )
-    name, predicted = f"{study.name}-trial-{trial}", _predictions(study, design, depth, trial)
+    name, predicted = f"{study.name}-trial-{trial}", _predictions(study, design, environment, depth, trial)
     return DesignSource(design, name, origin, study.settings, depth, predicted)
 
 
-def _predictions(study: Study, design: Designs, depth: float, trial: int) -> tuple[float, ...] | None:
-    """Simulate a trial's design under every member of the ensemble of its data set, if there is one."""
-    if not study.settings.needs_ensemble:
+def _ensembles(study: Study) -> list[EnvironmentName]:
+    """List the arms that are learners with an ensemble, in the order of the grid."""
+    learners = study.settings.arm_learners
+    return [name for name in study.settings.grid.environments if name in learners and not learners[name].is_single]
+
+
+def _predictions(
+    study: Study, design: Designs, environment: EnvironmentName, depth: float, trial: int
+) -> tuple[float, ...] | None:
+    """Simulate a trial's design under every member of its own ensemble, or of the study's first, if there is one."""
+    ensembles = _ensembles(study)
+    if not ensembles:
         return None
     try:
-        ensemble = study.ensemble(replicate=trial % study.settings.replicates)
+        rollouts = study.simulate(
+            design, environment if environment in ensembles else ensembles[0], depth=depth, trial=trial
+        )
     except MissingInputs:
         return None
-    settings = study.settings
-    rollouts = simulate(
-        design, ResidualSlush(depth, ensemble), physics=settings.physics, **settings.rollout.model_dump()
-    )
     return tuple(rollouts.displacement[:, 0].tolist()) if (rollouts.status == OK).all() else None

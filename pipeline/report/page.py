@@ -20,10 +20,9 @@ from pipeline.report.document import TEMPLATES, document, inline_svg, resource
 from pipeline.report.drawing import Drawing, finish
 from pipeline.report.network_figures import ThrowPaths
 from pipeline.report.palette import Look, arms_css, looks_of
-from pipeline.report.render import as_csv, as_html, typeset
+from pipeline.report.render import as_html, typeset
 from pipeline.report.replay import Replay, encode
 from pipeline.report.transfer_figures import Curves
-from pipeline.store.tables import csv_of, described, text
 from tasks.analysis import paper
 from tasks.analysis.registry import Analysis, Assessed, percent
 from tasks.analysis.tables import ANALYSES
@@ -32,7 +31,6 @@ from tasks.world import environment_kind
 
 _POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
 _SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
-_MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,21 +169,6 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
     )
     title = f"Robots evolved for {page.target}: {settings.name}"
     return document(title=title, policy=_POLICY, body=body, css=arms_css(page.looks))
-
-
-def tables_of(tables: Mapping[str, Sequence[Any]]) -> dict[str, bytes]:
-    """Return every table of readable size as CSV, by file name, and the unit and meaning of every column."""
-    readable = {name: rows for name, rows in tables.items() if 0 < len(rows) <= _MOST_ROWS_OF_CSV}
-    if not readable:
-        return {}
-    columns = [
-        (name, column, about.get("unit", ""), about.get("meaning", "") or about.get("label", ""))
-        for name in readable
-        for column, about in described(ANALYSES[name].row).items()
-    ]
-    sheet = dict(zip(("table", "column", "unit", "meaning"), map(text, zip(*columns, strict=True)), strict=True))
-    files = {f"{name}.csv": as_csv(ANALYSES[name].row, rows) for name, rows in readable.items()}
-    return {"columns.csv": csv_of(sheet), **files}
 
 
 def _shown(one: Analysis, rows: Sequence[Any]) -> list[tuple[float | None, list[Any]]]:

@@ -8,7 +8,7 @@ import json
 import re
 import textwrap
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
 from itertools import zip_longest
@@ -16,9 +16,12 @@ from typing import Any
 
 from markupsafe import Markup
 
-from pipeline.store.tables import columns_of, csv_of
+from pipeline.store.tables import columns_of, csv_of, described, text
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.estimates import Estimate, Mean
+from tasks.analysis.tables import ANALYSES
+
+_MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
 
 _WIDTH = 78  # usual width of a terminal, which a table exceeds where its words can't be broken so far
 _MOST_CHARACTERS = (34, 28, 22, 16, 12)  # of a line of words there; the first that fits
@@ -222,3 +225,18 @@ WRITERS: dict[str, Callable[[type, Sequence[Any], str], str]] = {
     ".json": lambda kind, rows, caption: json.dumps(as_json(kind, rows), indent=1, ensure_ascii=False) + "\n",
 }
 """Writers of a table, by the suffix of the file."""
+
+
+def tables_of(tables: Mapping[str, Sequence[Any]]) -> dict[str, bytes]:
+    """Return every table of readable size as CSV, by file name, and the unit and meaning of every column."""
+    readable = {name: rows for name, rows in tables.items() if 0 < len(rows) <= _MOST_ROWS_OF_CSV}
+    if not readable:
+        return {}
+    columns = [
+        (name, column, about.get("unit", ""), about.get("meaning", "") or about.get("label", ""))
+        for name in readable
+        for column, about in described(ANALYSES[name].row).items()
+    ]
+    sheet = dict(zip(("table", "column", "unit", "meaning"), map(text, zip(*columns, strict=True)), strict=True))
+    files = {f"{name}.csv": as_csv(ANALYSES[name].row, rows) for name, rows in readable.items()}
+    return {"columns.csv": csv_of(sheet), **files}

@@ -44,7 +44,7 @@ class Replay:
     robot: str = ""  # address of the robot on the page and name of its design file; "" if it has none
     group: str = ""  # heading of the viewer's list under which it is found, such as "Residual Slush, 9 m"
     in_target: bool = False  # whether it is seen where champions are transferred to
-    command: str = ""  # environment of `puddle simulate` that shows the same
+    command: str = ""  # environment of `puddle simulate` that shows the same; empty for a single network
     best: bool = False  # whether it is of the best champion of its arm
     arm_mean: float = 0.0  # zero-shot displacement of its arm [m]: the mean over trials
 

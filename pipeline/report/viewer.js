@@ -158,6 +158,7 @@
     control("address").href = "#" + replay.robot;
     for (const code of files.querySelectorAll("[data-command]")) {
       const words = { file: here + replay.robot + ".json", seen: replay.command, depth: replay.depth, store: store || "store" };
+      code.parentElement.hidden = !replay.command && code.dataset.command.includes("{seen}");
       code.textContent = code.dataset.command.replace(/\{(\w+)\}/g, (_, name) => quoted(String(words[name])));
     }
   }

@@ -38,6 +38,8 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
     Raises:
         PuddleError: the study has no such arm, or the two have no champions at a common depth.
     """
+    if a == b:
+        raise PuddleError(f"--arms: expected two arms, got {a} twice")
     known = dict.fromkeys(name for name, _, _ in study.settings.grid.trials())
     for arm in (a, b):
         if arm not in known:
@@ -78,7 +80,7 @@ def compare_studies(a: Study, b: Study) -> Compared:
 def written_comparison(compared: Compared, suffix: str) -> str:
     """Return the content of a file that ends in one of SUFFIXES: a page, or the table alone."""
     if suffix in WRITERS:
-        return WRITERS[suffix](Comparison, compared.rows, compared.title)
+        return WRITERS[suffix](Comparison, compared.rows, ". ".join(filter(None, (compared.title, compared.caution))))
     table = as_html(Comparison, compared.rows, "Differences between A and B", without=SAID_ABOVE)
     body = TEMPLATES.get_template("comparison.html").render(compared=compared, table=table)
     return document(title=compared.title, policy="script-src 'none'", body=body)

@@ -33,11 +33,13 @@ def film(
         physics: constants of the simulator; the paper's by default.
 
     Raises:
-        PuddleError: there is not one design, the file has another ending or can't be written, or the rollout diverged.
+        PuddleError: there is not one design, the file has another ending, or the rollout diverged.
     """
     path, environment = Path(path), as_environment(environment, depth)
     if len(design) != 1:
         raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
+    if n_measure < 3:
+        raise PuddleError(f"{path}: n_measure: expected at least 3, got {n_measure}")
     if path.suffix not in RENDERERS:
         raise PuddleError(f"{path}: expected a file that ends in {' or '.join(RENDERERS)}, got {path.name}")
     physics = physics or Physics()

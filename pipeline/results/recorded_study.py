@@ -205,13 +205,15 @@ class Study:
             trace: whether to record the state after every step.
 
         Raises:
-            PuddleError: there is no such environment.
+            PuddleError: there is no such environment, or it is a learner that the study lacks.
             MissingInputs: a network is not trained yet.
         """
         environment = self.settings.target if environment is None else environment
         depth = max(self.settings.grid.depths) if depth is None else depth
         learner = self.settings.learner(environment)
-        if learner is None and environment not in ENVIRONMENTS:
+        if learner is not None:
+            self._check({"environment": environment, "trial": trial})
+        elif environment not in ENVIRONMENTS:
             known = ", ".join((*ENVIRONMENTS, *self.settings.learners))
             raise PuddleError(f"study {self.name}: environment: expected one of {known}, got {environment!r}")
         own = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)

@@ -11,8 +11,7 @@ from math import isfinite
 from typing import Any
 
 from pipeline.config.settings import Settings
-from pipeline.report.page import tables_of
-from pipeline.report.render import as_text
+from pipeline.report.render import as_text, tables_of
 from pipeline.stages import environments
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
 from pipeline.store.encoding import decode_table, encode_table

@@ -155,19 +155,18 @@ def replay_in(
     doubts = None
     if ensemble is not None and ensemble.n_members > 1:
         doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
-    label = "Residual Slush" if kind.learned else kind.label
     other: Surroundings = "air" if environment.components[0].medium is None else "medium"
     replay = replay_of(
         design,
         trace[0],
         title=title,
-        seen_in=label if member is None else f"{label} (member {member if number is None else number})",
+        seen_in=kind.label if member is None else f"{kind.label} (member {member if number is None else number})",
         depth=environment.depth,
         surroundings="hallucinated medium" if kind.learned else other,
         n_settle=n_settle,
         time_step=physics.time_step,
     )
-    return replace(replay, command="residual_slush" if kind.learned else name, disagreement=doubts)
+    return replace(replay, command=name if member is None or number is None else "", disagreement=doubts)
 
 
 def median_member(values: Float64) -> int:

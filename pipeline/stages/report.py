@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.config.settings import Settings, WorkSettings
 from pipeline.report.network_figures import ThrowPaths
-from pipeline.report.page import StudyPage, heroes, robot_address, tables_of
-from pipeline.report.render import typeset
+from pipeline.report.page import StudyPage, heroes, robot_address
+from pipeline.report.render import tables_of, typeset
 from pipeline.report.replay import FILM_FPS
 from pipeline.report.transfer_figures import Curves
 from pipeline.stages import divergence, segments

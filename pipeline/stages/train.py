@@ -1,6 +1,7 @@
 """train: the residual networks, one at a time. Paper, "Neural Network Training"."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -111,15 +112,17 @@ def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -
     return Summary(metrics=metrics)
 
 
+def _error(metrics: Mapping[str, float]) -> str:
+    error = f"relative error of vx {metrics['relative_error.vx.all']:.3f}"
+    if math.isnan(slow := metrics["relative_error.vx.low_speed"]):  # no row is that slow
+        return error
+    return f"{error}, below 0.5 m/s {slow:.2f} (bias {metrics['bias.vx.low_speed']:+.4f} m/s)"
+
+
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Report the error of each member."""
     members = {chain: _summarise_member(store, chain, done).metrics for chain, done in results.done.items()}
-    lines = [
-        f"{chain.label}: relative error of vx {metrics['relative_error.vx.all']:.3f}, "
-        f"below 0.5 m/s {metrics['relative_error.vx.low_speed']:.2f} "
-        f"(bias {metrics['bias.vx.low_speed']:+.4f} m/s)"
-        for chain, metrics in members.items()
-    ]
+    lines = [f"{chain.label}: {_error(metrics)}" for chain, metrics in members.items()]
     return Summary(lines or ["no trial needs residual networks"])
 
 

@@ -79,7 +79,11 @@ def explained(error: Exception, store: Path, uri: str | None) -> str:
     reason = (str(error) or type(error).__name__).splitlines()[0].partition(". ")[0]
     if "schema" in reason or "revision" in reason:
         reason = "it was made by another version of MLflow"
-    advice = "; delete it, and `puddle study` rebuilds it from the store" if uri is None else ""
+    advice = ""
+    if uri is None:
+        advice = "; delete it, and `puddle study` rebuilds it from the store"
+    elif "://" not in uri:
+        advice = "; unset MLFLOW_TRACKING_URI, and puddle uses a database in the store"
     return f"{place}: MLflow cannot use it: {reason}{advice}"
 
 

@@ -47,6 +47,10 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
         experiment = experiment_id(client)
         if experiment is not None:
             client.set_experiment_tag(experiment, f"mlflow.sharedViewState.{_VIEW}", _view(client, experiment))
+        if study and not (experiment and client.search_runs([experiment], f"tags.study = '{study}'", max_results=1)):
+            raise PuddleError(
+                f"{uri or store}: MLflow has no runs of a study {study!r}; `puddle ui` lists those it has"
+            )
     except PuddleError:
         raise
     except Exception as error:  # of any database's driver

@@ -2,12 +2,12 @@
 
 The interval of the difference of the means is Welch's, because champions of different environments have different
 variances. Where trials share throws and networks, it includes the variance between replicates. p-values are corrected
-by Holm's procedure over all rows that are shown together.
+by Holm's procedure over all rows that are shown together, which statsmodels has, but not for p-values that are missing.
 
 A difference *agrees* with none if its whole interval lies within the bounds: the procedure of two one-sided tests
-(Schuirmann 1987) at 2.5 %. It *differs* if the interval lies outside them. Otherwise these trials *cannot tell*: a
-large p-value shows nothing. The two groups count as independent, which makes the tests of arms that share networks, or
-of studies that share a seed, cautious.
+(Schuirmann 1987) at 2.5 %. It *differs* if the interval lies outside them and the corrected p-value is below
+5 %. Otherwise these trials *cannot tell*: a large p-value shows nothing. The two groups count as independent, which
+makes the tests of arms that share networks, or of studies that share a seed, cautious.
 """
 
 import math
@@ -26,6 +26,7 @@ from tasks.world import EnvironmentName
 
 Verdict = Literal["agrees", "differs", "cannot tell"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+_LEVEL = 0.05  # of the tests
 
 
 def judge(effect: Estimate, low: float, high: float) -> Verdict:
@@ -82,7 +83,12 @@ def compare(
         for of_a, of_b in pairs
         if len(x := sample(a, of_a, depth)) and len(y := sample(b, of_b, depth))
     ]
-    return [replace(row, p_holm=p) for row, p in zip(rows, holm([row.p for row in rows]), strict=True)]
+    corrected = zip(rows, holm([row.p for row in rows]), strict=True)
+    return [replace(row, p_holm=p, verdict=_after_correction(row.verdict, p)) for row, p in corrected]
+
+
+def _after_correction(verdict: Verdict, p_holm: float | None) -> Verdict:
+    return "cannot tell" if verdict == "differs" and p_holm is not None and p_holm >= _LEVEL else verdict
 
 
 def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, best: Sample) -> Comparison:

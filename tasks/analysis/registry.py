@@ -8,7 +8,7 @@ of a frozen dataclass, described here and nowhere else::
     class Reach(OfTrial):
         longest: float = column("longest link", "m", meaning="Long axis of a champion's longest link.")
 
-    @analysis("reach", reads=("transfer",), answers="How long are the champions' links?", section="more")
+    @analysis("reach", row=Reach, reads=("transfer",), answers="How long are champions' links?", section="more")
     def reach(study: StudyData) -> list[Reach]: ...
 """
 

@@ -177,7 +177,15 @@ def random_designs(
     Raises:
         DesignError: the morphology can't be satisfied.
     """
+    if not isinstance(n_designs, int | np.integer) or n_designs < 0:
+        raise ValueError(f"n_designs: expected a number of designs, got {n_designs!r}")
+    _check_source(rng)
     return draw_random(n_designs, rng, body=body, morphology=morphology).designs
+
+
+def _check_source(rng: Generator) -> None:
+    if not isinstance(rng, Generator):
+        raise ValueError(f"rng: expected a numpy.random.Generator, such as default_rng(seed=1), got {rng!r}")
 
 
 def draw_random(n_designs: int, rng: Generator, *, body: Designs | None, morphology: Morphology) -> Drawn:
@@ -210,6 +218,7 @@ def mutate(
     Raises:
         DesignError: no mutant of a parent is within the morphology.
     """
+    _check_source(rng)
     variation = variation_of(morphology, mutation=mutation, parts=parts)
     constraints = morphology if "body" in parts else morphology.of_controllers()
     return Sampler(rng, variation, constraints).mutants(designs.table).designs
@@ -231,6 +240,7 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
         morphology: constraints on designs. After MAX_RECOMBINATIONS rejections a child gets the body of one and the
             controller of the other; where gaits are constrained, it is a copy of one. Both are allowed.
     """
+    _check_source(rng)
     return Sampler(rng, variation_of(morphology), morphology).recombinations((one.table, other.table)).designs
 
 

@@ -117,6 +117,7 @@ def test_a_study_with_other_physics_is_compared_with_a_caution(settings, root, c
         (("tiny", "tiny"), "expected two studies, got study tiny twice"),
         (("other", "tin"), "study 'tin': "),
         (("tiny", "--arms", "dry_land", "mud"), "got 'mud'"),
+        (("tiny", "--arms", "dry_land", "dry_land"), "--arms: expected two arms, got dry_land twice"),
         (("tiny", "other", "--out", "missing/page.html"), "in an existing folder"),
         (("tiny", "other", "--out", "page.pdf"), "expected a new file that ends in .html or .md"),
         (("tiny", "new"), "at the same depth: expected some in both, got"),

@@ -46,6 +46,11 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["learners={a: {}, a: {}}"], "'a' appears twice"),
         (["learners.dry_land={}"], "learners.dry_land: the name is taken: expected one of its own, got 'dry_land'"),
         (["learners.throws={}"], "learners.throws: the name is taken"),
+        (["learners.a={}"], "learners.a: expected what differs from the study's groups, any of throws, network"),
+        (
+            ["throws.source=tracks", "tracks={file: a.csv}", "learners.a.throws.n_throws=20"],
+            "learners.a.throws states n_throws, but its throws are the tracked ones of the file",
+        ),
         (["learners.Fifty={}"], "learners.Fifty.[key]: String should match pattern"),
         (["learners=[a]"], 'learners: expected an object, got ["a"]'),
         (["learners.a.throws=null"], "learners.a.throws: expected an object, got null"),

@@ -1,5 +1,8 @@
 """A study with learners of its own beside Residual Slush, from the throws to the page, as a user runs it."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from command_line import WITHOUT_MLFLOW, call
@@ -8,12 +11,14 @@ from small_study import TINY
 import puddle
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
+from pipeline.fabrication.source import proposed
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
 from pipeline.store.design_file import design_json
 from pipeline.workflow.identity import to_json
 from tasks.design import random_designs
 
+FEW = ("true_slush", "dry_land", "five")  # arms
 LISTED = (
     "name=listed",
     "grid.environments=[true_slush,dry_land,residual_slush,five,one_of_five]",
@@ -58,12 +63,23 @@ def test_the_page_names_them_in_colours_of_their_own(folder):
     assert "--arm-five: #0f8b8d" in page and "--arm-one_of_five: #b0408f" in page
 
 
+def test_the_robot_to_build_and_the_page_s_commands_are_of_their_own_learner(folder):
+    study = puddle.open_study("listed", folder / "store")
+    page = (folder / "store" / "studies" / "listed" / "report" / PAGE).read_text()
+    commands = set(re.findall(r'"environment":"(\w+)","command":"(\w*)"', page))
+    assert {("five", "five"), ("one_of_five", ""), ("residual_slush", "residual_slush")} <= commands
+    only_five = study.settings.model_copy(update={"grid": study.settings.grid.model_copy(update={"environments": FEW})})
+    source = proposed(replace(study, settings=only_five))
+    assert "evolved in five" in source.origin and len(source.predicted) == 3
+
+
 def test_a_design_is_simulated_under_a_learner(folder, capsys):
     design = folder / "design.json"
     design.write_bytes(design_json(random_designs(1, np.random.default_rng(3))))
     where = ("--study", "listed", "--store", str(folder / "store"), "--depth", "1")
     assert call("simulate", str(design), "--environment", "five", *where) == 0
     said = capsys.readouterr().out
+    assert call("simulate", str(design), "--environment", "designed_throws", *where) == 2
     assert said.startswith("Five, 1 m deep") and said.count(", ", said.index("members")) == 2
 
 

@@ -258,6 +258,16 @@ def test_the_artifacts_of_a_moved_store_move_with_it(store, tmp_path_factory):
     assert not store.exists()
 
 
+def test_a_folder_of_files_in_the_environment_is_one_sentence_with_what_to_do(store, monkeypatch):
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", str(store / "mlruns"))
+    said: list[str] = []
+    tracker = Tracker(store, say=said.append)
+    tracker.mirror(STUDY, STAGE)
+    tracker.mirror(STUDY, STAGE, TRIALS)
+    (line,) = said
+    assert line.startswith(str(store / "mlruns")) and "unset MLFLOW_TRACKING_URI" in line and "study continues" in line
+
+
 @pytest.fixture(scope="module")
 def sound_database(tmp_path_factory) -> Path:
     return make_database(tmp_path_factory.mktemp("sound"))

@@ -94,6 +94,15 @@ def test_studies_are_compared_at_every_common_depth_and_corrected_together():
     assert same[0].verdict == "agrees" and same[0].p is None
 
 
+def test_a_difference_of_many_needs_a_corrected_p():
+    values = {("true_slush", 9.0): spread(10, 1, 5), ("dry_land", 9.0): spread(6.5, 0.58, 5)}
+    pairs = [(DRY, E)] * 400
+    (alone,) = compare(trials_of(values), trials_of(values), pairs[:1], E[0])
+    among = compare(trials_of(values), trials_of(values), pairs, E[0])
+    assert alone.verdict == "differs" and among[0].p_holm == pytest.approx(400 * alone.p) and 400 * alone.p > 0.05
+    assert {row.verdict for row in among} == {"cannot tell"}
+
+
 @pytest.mark.parametrize(("moved", "verdict"), [(3.0, "differs"), (1.0, "agrees"), (-1.0, "agrees"), (-3.0, "differs")])
 def test_a_fifth_of_what_the_target_s_robots_travel_is_negligible(moved, verdict):
     of_b = {("true_slush", 9.0): spread(10, 0.01, 5)}
