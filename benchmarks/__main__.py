@@ -55,6 +55,7 @@ def main() -> None:
         engines.two_processes,
         networks.inference,
         networks.generation,
+        networks.wetted,
         networks.training,
     ):
         console.print(f"[dim]{measure.__doc__}[/dim]")

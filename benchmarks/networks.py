@@ -23,8 +23,8 @@ from tasks.residual import OBSERVATION, Architecture, Training
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.network import initial_weights
-from tasks.residual.observation import Observed
 from tasks.residual.torch_descent import TorchDescent
+from tasks.residual.wetted import N_WETTED_OUTPUTS, WETTED
 from tasks.simulation import simulate
 from tasks.simulation.networks.tiles import N_LANES
 from tasks.world import ResidualSlush
@@ -79,11 +79,11 @@ def peak_gflops() -> float:
 
 
 def ensemble(
-    hidden_layers: int, width: int, n_members: int = N_MEMBERS, inputs: tuple[Observed, ...] = OBSERVATION
+    hidden_layers: int, width: int, n_members: int = N_MEMBERS, inputs: tuple[str, ...] = OBSERVATION
 ) -> Ensemble:
     """Create untrained networks of a shape, whose outputs are too small to move a robot."""
     rng = np.random.default_rng(1)
-    sizes = (len(inputs), *[width] * hidden_layers, 3)
+    sizes = (len(inputs), *[width] * hidden_layers, N_WETTED_OUTPUTS if inputs == WETTED else 3)
     weights = [(rng.normal(size=(n_members, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     weights[-1] *= np.float32(0.01)
     return Ensemble(tuple(weights), tuple(np.zeros((n_members, b), np.float32) for b in sizes[1:]), inputs)
@@ -148,6 +148,21 @@ def generation() -> list[Benchmark]:
         bound = 16.0 if width == 256 else None
         figures.append(Benchmark(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", bound))
     return figures
+
+
+def wetted() -> list[Benchmark]:
+    """Evaluate a generation in networks that know what is under water, and in plain ones of the same size."""
+    plain, wet = (ResidualSlush(2.0, ensemble(2, 48, 4, inputs)) for inputs in (OBSERVATION, WETTED))
+    for environment in (plain, wet):
+        simulate(designs(), environment, n_settle=1, n_measure=1)
+    ratios = []
+    for _ in range(N_ROUNDS):
+        theirs, ours = (
+            min(seconds(lambda e=one: simulate(designs(), e, n_settle=20, n_measure=120)) for _ in range(5))
+            for one in (plain, wet)
+        )
+        ratios.append(ours / theirs)
+    return [Benchmark("a generation in wetted networks, 4 of 2 × 48, over plain ones", ratios, "times", 1.3)]
 
 
 def training() -> list[Benchmark]:
