@@ -262,11 +262,14 @@ class Settings(Parameters):
                 f"replicates is {self.replicates} and grid.n_trials is {self.grid.n_trials}, so some data sets would "
                 f"have no trial: expected at least as many trials as replicates"
             )
-        if self.slush != Slush() and PAPERS_TARGET not in (self.target, *self.grid.environments):
-            raise ValueError(
-                f"slush is given, but neither target nor grid.environments has {PAPERS_TARGET}, whose medium it is: "
-                f"expected one of them to have it, got target {self.target}"
-            )
+        for name, kind in ENVIRONMENTS.items():
+            group = kind.settings_group or ""
+            is_given = kind.settings is not None and kind.has_one_medium and getattr(self, group) != kind.settings()
+            if is_given and name not in (self.target, *self.grid.environments):
+                raise ValueError(
+                    f"{group} is given, but neither target nor grid.environments has {name}, whose medium it is: "
+                    f"expected one of them to have it, got target {self.target}"
+                )
         self._check_objective()
         self._check_learners()
         self._check_tracks()

@@ -75,6 +75,10 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["target=fifty"], "target: expected an environment of one medium"),
         (["target=3"], "target: expected a valid string"),
         (["target=flowing_slush", "slush.density=2"], "neither target nor grid.environments has true_slush"),
+        (
+            ["flowing_slush.current=1"],
+            "flowing_slush is given, but neither target nor grid.environments has flowing_slush",
+        ),
         (["grid.environments=[fifty]"], "grid.environments: expected any of true_slush"),
         (["transfer.adapted_environments=[mud]"], "transfer.adapted_environments: expected any of true_slush"),
     ],
