@@ -17,8 +17,7 @@ LAPTOP = {"train": 327, "evolve": 378, "transfer": 45, "assess": 18, "analyse": 
 
 @pytest.mark.parametrize("name", preset_names())
 def test_every_stage_has_a_time(name):
-    settings = load(Settings, preset_path(name))
-    forecast = forecast_stages(settings)
+    forecast = forecast_stages(load(Settings, preset_path(name)))
     assert [one.stage for one in forecast] == [stage.name for stage in STAGES]
     assert all(0 <= one.longest_chain_seconds <= one.core_seconds for one in forecast)
 

@@ -55,9 +55,8 @@ def test_the_best_of_every_arm_is_seen_in_true_slush_and_where_it_evolved(settin
     for (_, seen_in), replay in found.items():
         assert replay.hallucinated == ("(member " in seen_in)
         assert replay.disagreement.shape == replay.frames.shape[:2]
-        is_single = seen_in == at_home["single_member"]
-        names = {"True Slush": "true_slush", "Dry Land": "dry_land"}
-        assert replay.command == ("" if is_single else names.get(seen_in, "residual_slush"))  # what `simulate` shows
+        names = {"True Slush": "true_slush", "Dry Land": "dry_land", at_home["single_member"]: ""}
+        assert replay.command == names.get(seen_in, "residual_slush")  # what `simulate` shows
     home, slush = found["residual_slush", at_home["residual_slush"]], found["residual_slush", "True Slush"]
     assert home.title == slush.title and not np.array_equal(home.frames, slush.frames)
 

@@ -261,9 +261,7 @@ def test_the_artifacts_of_a_moved_store_move_with_it(store, tmp_path_factory):
 def test_a_folder_of_files_in_the_environment_is_one_sentence_with_what_to_do(store, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", str(store / "mlruns"))
     said: list[str] = []
-    tracker = Tracker(store, say=said.append)
-    tracker.mirror(STUDY, STAGE)
-    tracker.mirror(STUDY, STAGE, TRIALS)
+    Tracker(store, say=said.append).mirror(STUDY, STAGE)
     (line,) = said
     assert line.startswith(str(store / "mlruns")) and "unset MLFLOW_TRACKING_URI" in line and "study continues" in line
 
