@@ -14,13 +14,14 @@ import pyarrow.compute as pc
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.results.study_tables import KEYS, SOURCES, available, keys_of, parts_of
+from pipeline.results.study_tables import KEYS, SOURCES, available, field_of, keys_of, parts_of
 from pipeline.stages import STAGES, environments
 from pipeline.stages.data_sets import data_sets, ensemble_ids, networks_of
 from pipeline.stages.transfer import ADAPTED, CHAMPION, read_trials
 from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.store import Store, StudyRecord
+from pipeline.store.tables import described
 from pipeline.workflow.graph import Survey, survey
 from pipeline.workflow.identity import TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
@@ -36,12 +37,12 @@ if TYPE_CHECKING:
 
 CHAMPIONS = "champions"  # name of the table of champions
 
-_CHAMPION_FIELDS = pa.schema(
-    [pa.field(name, kind, metadata={"unit": "m" if name == "depth" else ""}) for name, kind in KEYS.items()]
-    + [pa.field(name, pa.float64(), metadata={"unit": "m"}) for name in ("predicted", "zero_shot", "adapted")]
-    + [pa.field("design_json", pa.string(), metadata={"unit": ""})]
-    + [pa.field(name, pa.float64(), metadata={"unit": "m"}) for name in ("predicted_sd", "fitness")]
-)
+_CHAMPION_COLUMNS = {
+    **KEYS,
+    **dict.fromkeys(("predicted", "zero_shot", "adapted"), pa.float64()),
+    "design_json": pa.string(),
+    **dict.fromkeys(("predicted_sd", "fitness"), pa.float64()),
+}
 
 
 @dataclass(frozen=True)
@@ -143,9 +144,8 @@ class Study:
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.
 
-        Columns: environment, depth, trial; predicted (displacement where it evolved, the mean μ over an ensemble's
-        members), zero_shot and adapted (displacement in the target) [m]; design_json (content of a design file);
-        predicted_sd (σ over members) [m] and fitness (μ - kσ, in the objective's unit). What does not exist is null.
+        Columns are those of :class:`tasks.analysis.scores.ScoredTrial` and design_json, the content of a design file.
+        What does not exist is null.
         """
         rows = []
         for trial in trials_of(self.settings, "transfer"):
@@ -154,10 +154,10 @@ class Study:
                 design = self.store.read(parts[-1], CHAMPION).decode()
                 values = scores.by_name() if scores else {}
                 rows.append({**keys_of(trial), **values, "design_json": design})
-        of_fitness = {"unit": OBJECTIVES[self.settings.evolution.objective].unit}
-        last = len(_CHAMPION_FIELDS) - 1
-        schema = _CHAMPION_FIELDS.set(last, _CHAMPION_FIELDS.field("fitness").with_metadata(of_fitness))
-        return pa.Table.from_pylist(rows, schema=schema)
+        about = {**described(ScoredTrial), "design_json": {"meaning": "Content of a design file."}}
+        about["fitness"] = {**about["fitness"], "unit": OBJECTIVES[self.settings.evolution.objective].unit}
+        fields = [field_of(name, kind, about[name]) for name, kind in _CHAMPION_COLUMNS.items()]
+        return pa.Table.from_pylist(rows, schema=pa.schema(fields))
 
     def trials(self) -> list[ScoredTrial]:
         """Return what is known of every trial's champion."""

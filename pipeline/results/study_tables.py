@@ -82,7 +82,7 @@ def available(upstream: Upstream) -> list[str]:
 
 def about(name: str) -> str:
     """Say in a sentence what a table holds."""
-    return _ABOUT[name] if name in _ABOUT else (ANALYSES[name].row.__doc__ or "").splitlines()[0]
+    return _ABOUT[name] if name in _ABOUT else ANALYSES[name].answers
 
 
 def parts_of(name: str, results: Results, store: Store, *, only: Mapping[str, Any]) -> Iterator[pa.Table]:
@@ -138,12 +138,18 @@ def _arrow_table(
         names = [coded.split()[1] for coded in units["operator"].split(", ")]  # "0 random, 1 mutation, ..."
         left["operator"] = np.array(names)[left["operator"]]
     arrays |= {name: _arrow_array(column) for name, column in left.items()}
-    fields = []
-    for name, array in arrays.items():
-        says = {word: about.get(name, {}).get(word, "") for word in ("label", "meaning")}
-        metadata = {"unit": {**units, **_UNITS}.get(name, ""), **{word: text for word, text in says.items() if text}}
-        fields.append(pa.field(name, array.type, metadata=metadata))
+    units = {**units, **_UNITS}
+    fields = [
+        field_of(name, array.type, {**about.get(name, {}), "unit": units.get(name, "")})
+        for name, array in arrays.items()
+    ]
     return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))
+
+
+def field_of(name: str, kind: pa.DataType, about: Mapping[str, Any]) -> pa.Field:
+    """Describe a column: its unit, and its label and meaning where it has them."""
+    says = {word: about[word] for word in ("label", "meaning") if about.get(word)}
+    return pa.field(name, kind, metadata={"unit": about.get("unit", ""), **says})
 
 
 def _arrow_array(column: Array) -> pa.Array:
