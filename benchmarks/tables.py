@@ -127,26 +127,27 @@ def variants(results: Results) -> Iterable[Variant]:
 class ByThrows:
     """How far robots of designed throws go, by the number of throws and the form of the networks."""
 
-    throws: str = column("", form="{}")
-    predicted: float = column("predicted", "m")
-    zero_shot: float = column("zero-shot", "m")
-    of_best: Estimate = column("of *E*", form="{:z.0%}")
-    adapted: Estimate = column("adapted, of *E*", form="{:z.0%}")
+    throws: str = column("throws", form="{}")
+    at_9: Estimate | None = column("9 m, of *E*", form="{:z.0%}")
+    adapted_at_9: Estimate | None = column("adapted", form="{:z.0%}")
+    at_2: Estimate | None = column("2 m, of *E*", form="{:z.0%}")
+    adapted_at_2: Estimate | None = column("adapted", form="{:z.0%}")
     exploiters: str = column("exploiters", form="{}")
 
 
 def throws(results: Results) -> Iterable[ByThrows]:
     """Tabulate studies that differ in throws, networks and depth."""
-    for study in results["studies"]:
-        (arm,) = study["arms"]
-        name, depth = arm["environment"], study["depth"]
-        best = _sample(study, "true_slush", "zero_shot", depth, 1)
-        learned = (_sample(study, name, score, depth, study["n_replicates"]) for score in ("zero_shot", "adapted"))
-        of = (ratio(sample, best, rng=np.random.default_rng(0)) for sample in learned)
-        means = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
-        yield ByThrows(
-            f"{study['form']}, {study['n_throws']} throws, {depth:g} m", *means, *of, _exploiters(study, name)
-        )
+    name = "designed_throws"
+    studies = {(one["form"], one["n_throws"], one["depth"]): one for one in results["studies"]}
+    for form, n_throws in dict.fromkeys(key[:2] for key in studies):
+        own = {depth: study for (*what, depth), study in studies.items() if what == [form, n_throws]}
+        shares = [
+            _share(own[depth], name, score, depth) if depth in own else None
+            for depth in (9.0, 2.0)
+            for score in ("zero_shot", "adapted")
+        ]
+        champions = {"champions": [one for study in own.values() for one in study["champions"]]}
+        yield ByThrows(f"{n_throws}, {form}", *shares, _exploiters(champions, name))
 
 
 @dataclass(frozen=True)
