@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from command_line import call
 
-from pipeline.report.page import StudyPage, draw_all, render_page, render_robot, scale_words, tables_of
+from pipeline.report.page import StudyPage, draw_all, render_page, render_robot, scale_words
+from pipeline.report.render import tables_of
 from tasks.world import ENVIRONMENTS
 
 VOID = {"meta", "link", "br", "input", "img", "hr"}
