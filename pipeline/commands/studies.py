@@ -130,7 +130,8 @@ def compare(
     counts = Counter(row.verdict for row in compared.rows)
     listed = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
     to_stdout(
-        f"\n{len(compared.rows)} comparisons: {listed}. They agree if the interval lies within what is negligible."
+        f"\n{len(compared.rows)} comparisons: {listed}. They agree if the interval lies within what is "
+        f"negligible, and differ if it lies outside and p is below 5 %."
     )
     if out is not None:
         out.write_text(written_comparison(compared, suffix), encoding="utf-8")
