@@ -183,7 +183,10 @@ class Tracked:
 def tank(results: Results) -> Iterable[Tracked]:
     """Tabulate studies of tracked throws; the first is that of exact states."""
     samples = {
-        score: [_sample(study, "residual_slush", score, study["depth"], 5) for study in results["studies"]]
+        score: [
+            _sample(study, "residual_slush", score, study["depth"], study["n_replicates"])
+            for study in results["studies"]
+        ]
         for score in ("predicted", "zero_shot")
     }
     exact = samples["zero_shot"][0]
