@@ -22,7 +22,7 @@ _SECONDS_TO_LOCK = 0.5  # a query holds a lock for an instant
 
 def write(path: Path, data: bytes) -> None:
     """Write a whole file, replacing what is there."""
-    with _named(path):
+    with named(path):
         path.write_bytes(data)
 
 
@@ -30,14 +30,14 @@ def fsync(path: Path) -> None:
     """Flush a file, or a folder's list of names, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
-        with _named(path):
+        with named(path):
             os.fsync(descriptor)
     finally:
         os.close(descriptor)
 
 
 @contextlib.contextmanager
-def _named(path: Path) -> Iterator[None]:
+def named(path: Path) -> Iterator[None]:
     """Have an error name the file, as that of an open one does not."""
     try:
         yield

@@ -180,10 +180,11 @@ class Store(Items):
         folder = self.study_path(name)
         with disk.locked(self.root / "use.lock", shared=True, taken=removing):
             disk.make_folders(folder)
-            with disk.locked(folder / "driver.lock", taken=taken):
+            with disk.locked(path := folder / "driver.lock", taken=taken):
                 started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
                 signature = f"process {os.getpid()} on {platform.node()} since {started} ({' '.join(sys.argv)})"
-                (folder / "driver.lock").write_bytes(signature.encode(errors="replace"))
+                with disk.named(path):
+                    path.write_bytes(signature.encode(errors="replace"))
                 yield
 
     @contextlib.contextmanager
