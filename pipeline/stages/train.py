@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.residual import Architecture, ErrorRow, Training
 from tasks.seeding import replicate_seed
+
+if TYPE_CHECKING:
+    from tasks.residual.training import TrainedMember  # imports torch
 
 MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
 _LEARNING = "learning.parquet"
@@ -74,6 +78,11 @@ def _compute(item: Item[MemberSpec], inputs: Inputs) -> Files:
 
     spec, transitions = item.spec, read_transitions(throws_among(inputs))
     trained = train_member(transitions, spec.network, spec.training, seed=spec.seed, member=spec.member)
+    return member_files(trained, item.key)
+
+
+def member_files(trained: "TrainedMember", producer: str) -> Files:
+    """Encode a network, its learning curve and its errors."""
     iteration, training_loss, validation_loss = trained.learning_curve.T
     learning = {
         "iteration": iteration.astype(np.int64),
@@ -82,9 +91,9 @@ def _compute(item: Item[MemberSpec], inputs: Inputs) -> Files:
     }
     errors = {f.name: np.array([getattr(row, f.name) for row in trained.validation]) for f in fields(ErrorRow)}
     return {
-        WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=item.key),
-        _LEARNING: encode_table(learning, schema="learning", version=1, producer=item.key),
-        MEMBER_ERRORS: encode_table(errors, schema="errors", version=1, producer=item.key, units=_ERROR_UNITS),
+        WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=producer),
+        _LEARNING: encode_table(learning, schema="learning", version=1, producer=producer),
+        MEMBER_ERRORS: encode_table(errors, schema="errors", version=1, producer=producer, units=_ERROR_UNITS),
     }
 
 

@@ -1,0 +1,85 @@
+"""Robots under the paper's own networks: `python -m benchmarks.paper_networks --store STORE`, then `puddle study`.
+
+A GPU trained the networks of docs/results/paper-networks on the throws of the preset `paper`. This commits them to a
+store as the results of `train`, once `puddle collect` with the same options has made the throws.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+from safetensors import safe_open
+
+from pipeline.config.loading import load, preset_path
+from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
+from pipeline.stages.data_sets import NetworkId
+from pipeline.stages.train import member_files
+from pipeline.store.store import Store
+from pipeline.workflow.graph import StageRun, survey
+from tasks.residual.error_report import error_rows
+from tasks.residual.network import Standardisation
+from tasks.residual.observation import OBSERVATION
+from tasks.residual.throws import Transitions
+from tasks.residual.training import TrainedMember
+
+FOLDER = Path(__file__).resolve().parents[1] / "docs/results/paper-networks"
+COLLECT, TRAIN = STAGES[:2]
+
+
+def networks(data_set: int, transitions: Transitions) -> Iterator[TrainedMember]:
+    """Read the networks of a data set, which must be the one that they learned from."""
+    with safe_open(FOLDER / f"data-set-{data_set}.safetensors", "np") as file:
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    standard = Standardisation(**{one.name: arrays.pop(one.name) for one in fields(Standardisation)})
+    observed, residual = transitions.observed(OBSERVATION), transitions.residual
+    of_throws = Standardisation.of(observed, residual, standardise_targets=True)
+    for one in fields(Standardisation):
+        np.testing.assert_allclose(getattr(standard, one.name), getattr(of_throws, one.name), rtol=1e-5, atol=1e-7)
+    curves = pq.read_table(FOLDER / "learning.parquet", filters=[("data_set", "=", data_set)])
+    speed = np.hypot(*transitions.state[:, 3:5].T)
+    for member in range(len(arrays["bias_0"])):
+        weights = {name: array[member] for name, array in arrays.items()}
+        hidden = standard.standard_observation(observed)
+        for layer in range(last := len(weights) // 2 - 1):
+            hidden = np.maximum(hidden @ weights[f"weight_{layer}"] + weights[f"bias_{layer}"], 0)
+        predicted = standard.residual(hidden @ weights[f"weight_{last}"] + weights[f"bias_{last}"])
+        points = curves.filter(np.equal(curves["member"], member)).select(["iteration", "training_loss", "loss"])
+        curve = np.column_stack([points[name].to_numpy() for name in points.column_names])
+        yield TrainedMember(weights, standard, OBSERVATION, curve, error_rows(predicted, residual, speed))
+
+
+def main() -> None:
+    """Commit the networks."""
+    parser = argparse.ArgumentParser(description=__doc__.partition(":")[0])
+    parser.add_argument("--store", type=Path, default=Path("store"))
+    parser.add_argument("--set", action="append", default=[], help="as for puddle collect")
+    options = parser.parse_args()
+    settings = load(Settings, preset_path("paper"), options.set)
+    store = Store.open(options.store, create=False)
+    upstream = survey(settings, [COLLECT], store).upstream
+    run = StageRun(TRAIN, settings, upstream, store, print)
+    trained: dict[int, list[TrainedMember]] = {}
+    for progress in run.chains():
+        if progress.finished:
+            continue
+        item, network = run.next_item(progress), progress.chain.identity
+        assert isinstance(network, NetworkId)
+        replicate = network.data_set.replicate
+        if replicate not in trained:
+            thrown = throws_inputs(upstream[COLLECT.name], network.data_set)
+            inputs = {name: source.read(store) for name, source in thrown.items()}
+            trained[replicate] = list(networks(replicate, read_transitions(throws_among(inputs))))
+        files = member_files(trained[replicate][network.index], item.key)
+        store.commit(item.stage, item.identity, files, record={"label": item.label, "made_by": "train.py on a GPU"})
+        print(f"{item.label}: {item.key[:12]}")
+
+
+if __name__ == "__main__":
+    main()
