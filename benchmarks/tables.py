@@ -225,6 +225,28 @@ def sensitivity(results: Results) -> Iterable[Choice]:
         yield Choice(row["decided"], row["instead"], None, difference, None, row["setting"])
 
 
+@dataclass(frozen=True)
+class Learned:
+    """How far robots of the paper's throws go if networks learn differently."""
+
+    decided: str = column("decided", form="{}")
+    instead: str = column("instead", form="{}")
+    predicted: float = column("predicted", "m")
+    zero_shot: float = column("zero-shot", "m")
+    of_best: Estimate = column("of *E*", form="{:z.0%}")
+    exploiters: str = column("exploiters", form="{}")
+
+
+def learning(results: Results) -> Iterable[Learned]:
+    """Tabulate studies that differ in what the networks learn, or how."""
+    name = "residual_slush"
+    for study in results["studies"]:
+        of_best = _share(study, name, "zero_shot", study["depth"])
+        (arm,) = (arm for arm in study["arms"] if arm["environment"] == name)
+        predicted, true = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
+        yield Learned(study["decided"], study["instead"], predicted, true, of_best, _exploiters(study, name))
+
+
 # -- make bench ------------------------------------------------------------------------------------------------------
 
 
@@ -255,6 +277,7 @@ TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
     "tank": (Tracked, tank),
     "open_choices": (Choice, open_choices),
     "sensitivity": (Choice, sensitivity),
+    "learning": (Learned, learning),
     "bench": (Bench, bench),
 }
 
