@@ -15,8 +15,10 @@ import numpy as np
 import pyarrow.parquet as pq
 from safetensors import safe_open
 
+from pipeline.commands.terminal import exit_with
 from pipeline.config.loading import load, preset_path
 from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import NetworkId
@@ -82,4 +84,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (OSError, PuddleError) as error:
+        exit_with(error)
