@@ -1,7 +1,8 @@
-"""Robots under the paper's own networks: `python -m benchmarks.paper_networks --store STORE`, then `puddle study`.
+"""Robots under the paper's own networks: `python -m benchmarks.paper_networks`, then `puddle study`.
 
 A GPU trained the networks of docs/results/paper-networks on the throws of the preset `paper`. This commits them to a
-store as the results of `train`, once `puddle collect` with the same options has made the throws.
+store as the results of `train`, once `puddle collect` with the same options has made the throws; and, with
+`--evolved FOLDER`, the trials that evolve.py wrote there as the results of `evolve`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -19,12 +21,17 @@ from pipeline.commands.terminal import exit_with
 from pipeline.config.loading import load, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.stages import STAGES
+from pipeline.stages import STAGES, environments
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import NetworkId
+from pipeline.stages.segments import compute_segment, population_of
 from pipeline.stages.train import member_files
 from pipeline.store.store import Store
 from pipeline.workflow.graph import StageRun, survey
+from pipeline.workflow.identity import TrialId
+from tasks.arrays import Float64
+from tasks.design import Designs
+from tasks.evolution import Evaluation, penalised_mean
 from tasks.residual.error_report import error_rows
 from tasks.residual.network import Standardisation
 from tasks.residual.observation import OBSERVATION
@@ -32,7 +39,7 @@ from tasks.residual.throws import Transitions
 from tasks.residual.training import TrainedMember
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs/results/paper-networks"
-COLLECT, TRAIN = STAGES[:2]
+COLLECT, TRAIN, EVOLVE = STAGES[:3]
 
 
 def networks(data_set: int, transitions: Transitions) -> Iterator[TrainedMember]:
@@ -57,14 +64,8 @@ def networks(data_set: int, transitions: Transitions) -> Iterator[TrainedMember]
         yield TrainedMember(weights, standard, OBSERVATION, curve, error_rows(predicted, residual, speed))
 
 
-def main() -> None:
-    """Commit the networks."""
-    parser = argparse.ArgumentParser(description=__doc__.partition(":")[0])
-    parser.add_argument("--store", type=Path, default=Path("store"))
-    parser.add_argument("--set", action="append", default=[], help="as for puddle collect")
-    options = parser.parse_args()
-    settings = load(Settings, preset_path("paper"), options.set)
-    store = Store.open(options.store, create=False)
+def commit_networks(settings: Settings, store: Store) -> None:
+    """Commit the networks of every data set."""
     upstream = survey(settings, [COLLECT], store).upstream
     run = StageRun(TRAIN, settings, upstream, store, print)
     trained: dict[int, list[TrainedMember]] = {}
@@ -81,6 +82,52 @@ def main() -> None:
         files = member_files(trained[replicate][network.index], item.key)
         store.commit(item.stage, item.identity, files, record={"label": item.label, "made_by": "train.py on a GPU"})
         print(f"{item.label}: {item.key[:12]}")
+
+
+def commit_trials(settings: Settings, store: Store, folder: Path) -> None:
+    """Commit the trials under networks: the search, told what the GPU told it, asks for the same designs again."""
+    run = StageRun(EVOLVE, settings, survey(settings, [COLLECT, TRAIN], store).upstream, store, print)
+    for progress in run.chains():
+        trial = progress.chain.identity
+        assert isinstance(trial, TrialId)
+        if trial.environment not in ("residual_slush", "single_member"):
+            continue
+        evolved = np.load(folder / f"evolution-{trial.index}.npz")
+        single = trial.environment == "single_member"
+        scores = evolved["displacement"][:, :, 8:] if single else evolved["displacement"][:, :, :8]
+        generations = iter(scores.astype(np.float64))
+
+        def score(_: Designs, generations: Iterator[Float64] = generations) -> Evaluation:
+            root, whole = np.moveaxis(next(generations), 2, 0)
+            return Evaluation(penalised_mean(root, disagreement_penalty=1.0), root, whole)
+
+        while not progress.finished:
+            item = run.next_item(progress)
+            inputs = {name: source.read(store) for name, source in item.inputs.items()}
+            with patch.object(environments, "scorer", lambda *_, score=score: score):
+                files = compute_segment(item, inputs)
+            store.commit(
+                item.stage, item.identity, files, record={"label": item.label, "made_by": "evolve.py on a GPU"}
+            )
+            run.advance(progress)
+        np.testing.assert_array_equal(
+            population_of(files).table, evolved["single_table" if single else "ensemble_table"]
+        )
+        print(progress.chain.label)
+
+
+def main() -> None:
+    """Commit the networks, and the trials."""
+    parser = argparse.ArgumentParser(description=__doc__.partition(":")[0])
+    parser.add_argument("--store", type=Path, default=Path("store"))
+    parser.add_argument("--set", action="append", default=[], help="as for puddle collect")
+    parser.add_argument("--evolved", type=Path, help="what evolve.py wrote; without it, `puddle study` evolves")
+    options = parser.parse_args()
+    settings = load(Settings, preset_path("paper"), options.set)
+    store = Store.open(options.store, create=False)
+    commit_networks(settings, store)
+    if options.evolved is not None:
+        commit_trials(settings, store, options.evolved)
 
 
 if __name__ == "__main__":
