@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -27,8 +28,9 @@ from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.segments import compute_segment, population_of
 from pipeline.stages.train import member_files
 from pipeline.store.store import Store
-from pipeline.workflow.graph import StageRun, survey
+from pipeline.workflow.graph import ChainProgress, StageRun, survey
 from pipeline.workflow.identity import TrialId
+from pipeline.workflow.stage import Files, Item
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.evolution import Evaluation, penalised_mean
@@ -64,10 +66,8 @@ def networks(data_set: int, transitions: Transitions) -> Iterator[TrainedMember]
         yield TrainedMember(weights, standard, OBSERVATION, curve, error_rows(predicted, residual, speed))
 
 
-def commit_networks(settings: Settings, store: Store) -> None:
+def commit_networks(run: StageRun) -> None:
     """Commit the networks of every data set."""
-    upstream = survey(settings, [COLLECT], store).upstream
-    run = StageRun(TRAIN, settings, upstream, store, print)
     trained: dict[int, list[TrainedMember]] = {}
     for progress in run.chains():
         if progress.finished:
@@ -76,44 +76,45 @@ def commit_networks(settings: Settings, store: Store) -> None:
         assert isinstance(network, NetworkId)
         replicate = network.data_set.replicate
         if replicate not in trained:
-            thrown = throws_inputs(upstream[COLLECT.name], network.data_set)
-            inputs = {name: source.read(store) for name, source in thrown.items()}
+            thrown = throws_inputs(run.upstream[COLLECT.name], network.data_set)
+            inputs = {name: source.read(run.store) for name, source in thrown.items()}
             trained[replicate] = list(networks(replicate, read_transitions(throws_among(inputs))))
-        files = member_files(trained[replicate][network.index], item.key)
-        store.commit(item.stage, item.identity, files, record={"label": item.label, "made_by": "train.py on a GPU"})
-        print(f"{item.label}: {item.key[:12]}")
+        _commit(run, progress, item, member_files(trained[replicate][network.index], item.key))
 
 
-def commit_trials(settings: Settings, store: Store, folder: Path) -> None:
+def commit_trials(run: StageRun, folder: Path) -> None:
     """Commit the trials under networks: the search, told what the GPU told it, asks for the same designs again."""
-    run = StageRun(EVOLVE, settings, survey(settings, [COLLECT, TRAIN], store).upstream, store, print)
     for progress in run.chains():
         trial = progress.chain.identity
         assert isinstance(trial, TrialId)
-        if trial.environment not in ("residual_slush", "single_member"):
+        if trial.environment == "true_slush":
             continue
-        evolved = np.load(folder / f"evolution-{trial.index}.npz")
-        single = trial.environment == "single_member"
+        evolved, single = np.load(folder / f"evolution-{trial.index}.npz"), trial.environment == "single_member"
         scores = evolved["displacement"][:, :, 8:] if single else evolved["displacement"][:, :, :8]
-        generations = iter(scores.astype(np.float64))
-
-        def score(_: Designs, generations: Iterator[Float64] = generations) -> Evaluation:
-            root, whole = np.moveaxis(next(generations), 2, 0)
-            return Evaluation(penalised_mean(root, disagreement_penalty=1.0), root, whole)
-
+        if len(scores) < (expected := run.settings.evolution.n_generations):
+            raise PuddleError(f"evolution-{trial.index}.npz: expected {expected} generations, got {len(scores)}")
         while not progress.finished:
             item = run.next_item(progress)
-            inputs = {name: source.read(store) for name, source in item.inputs.items()}
+            generations = iter(scores[item.spec.first_generation :].astype(np.float64))
+
+            def score(_: Designs, generations: Iterator[Float64] = generations) -> Evaluation:
+                root, whole = np.moveaxis(next(generations), 2, 0)
+                return Evaluation(penalised_mean(root, disagreement_penalty=1.0), root, whole)
+
+            inputs = {name: source.read(run.store) for name, source in item.inputs.items()}
             with patch.object(environments, "scorer", lambda *_, score=score: score):
                 files = compute_segment(item, inputs)
-            store.commit(
-                item.stage, item.identity, files, record={"label": item.label, "made_by": "evolve.py on a GPU"}
-            )
-            run.advance(progress)
-        np.testing.assert_array_equal(
-            population_of(files).table, evolved["single_table" if single else "ensemble_table"]
-        )
-        print(progress.chain.label)
+            _commit(run, progress, item, files)
+            if progress.finished and len(scores) == expected:
+                table = evolved["single_table" if single else "ensemble_table"]
+                np.testing.assert_array_equal(population_of(files).table, table)
+
+
+def _commit(run: StageRun, progress: ChainProgress, item: Item[Any], files: Files) -> None:
+    record = {"label": item.label, "made_by": f"{item.stage}.py on a GPU"}
+    run.store.commit(item.stage, item.identity, files, record=record)
+    run.advance(progress)
+    print(f"{item.label}: {item.key[:12]}")
 
 
 def main() -> None:
@@ -125,9 +126,10 @@ def main() -> None:
     options = parser.parse_args()
     settings = load(Settings, preset_path("paper"), options.set)
     store = Store.open(options.store, create=False)
-    commit_networks(settings, store)
+    commit_networks(StageRun(TRAIN, settings, survey(settings, [COLLECT], store).upstream, store, print))
     if options.evolved is not None:
-        commit_trials(settings, store, options.evolved)
+        upstream = survey(settings, [COLLECT, TRAIN], store).upstream
+        commit_trials(StageRun(EVOLVE, settings, upstream, store, print), options.evolved)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Write the tables of README.md and docs from results files: `python -m benchmarks.tables`.
 
-A table stands between `<!-- table NAME of FILE -->` and `<!-- end -->`: NAME is a function below, FILE a results file.
+A table stands between `<!-- table NAME of FILES -->` and `<!-- end -->`: NAME is a function below, FILES results files.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tasks.analysis.registry import column
 from tasks.world import environment_kind
 
 ROOT = Path(__file__).resolve().parents[1]
-SECTION = re.compile(r"<!-- table (\w+) of (\S+) -->\n.*?<!-- end -->", re.S)
+SECTION = re.compile(r"<!-- table (\w+) of (.+?) -->\n.*?<!-- end -->", re.S)
 
 Results = Mapping[str, Any]
 
@@ -78,19 +78,26 @@ def depths(results: Results) -> Iterable[AtDepth]:
 
 @dataclass(frozen=True)
 class Beside:
-    """A number of the paper beside a study's."""
+    """A number of the paper beside those of two studies."""
 
     what: str = column("", form="{}")
     papers: str = column("paper", form="{}")
-    ours: str = column("this study (95 %)", form="{}")
-    verdict: str = column("verdict", form="{}")
+    large: str | None = column("8 of 4 × 256 (95 %)", form="{}")
+    of_large: str | None = column("verdict", form="{}")
+    small: str | None = column("4 of 2 × 48 (95 %)", form="{}")
+    of_small: str | None = column("verdict", form="{}")
 
 
-def verdicts(results: Results) -> Iterable[Beside]:
-    """Compare the paper's numbers, other than t tests, with a study's."""
-    for row in results["comparison"]:
-        if row["interval"] and not row["what"].startswith("Student"):
-            yield Beside(row["what"], row["paper"], f"{row['this_run']} ({row['interval']})", row["verdict"])
+def verdicts(*studies: Results) -> Iterable[Beside]:
+    """Compare the paper's numbers, other than t tests, with those of studies."""
+    rows: dict[tuple[str, str], list[Any]] = {}
+    for k, study in enumerate(studies):
+        for row in study["comparison"]:
+            if row["interval"] and not row["what"].startswith("Student"):
+                what = re.sub(",? at 9 m", "", row["what"])
+                shown = rows.setdefault((what, row["paper"]), [None] * 2 * len(studies))
+                shown[2 * k : 2 * k + 2] = f"{row['this_run']} ({row['interval']})", row["verdict"]
+    return [Beside(*of, *shown) for of, shown in rows.items()]
 
 
 @dataclass(frozen=True)
@@ -267,7 +274,7 @@ def bench(results: Results) -> Iterable[Bench]:
             yield Bench(figure["name"], figure["median"], tuple(figure["rounds"]), figure["bound"])
 
 
-TABLES: Mapping[str, tuple[type, Callable[[Results], Iterable[object]]]] = {
+TABLES: Mapping[str, tuple[type, Callable[..., Iterable[object]]]] = {
     "shares": (Share, shares),
     "depths": (AtDepth, depths),
     "verdicts": (Beside, verdicts),
@@ -308,15 +315,20 @@ def _sample(study: Results, environment: str, score: str, depth: float, n_data_s
 
 def _section(found: re.Match[str], page: Path) -> str:
     """Return a table between its markers, and what it was measured with."""
-    name, file = found.groups()
-    results = json.loads((ROOT / file).read_text(encoding="utf-8"))
-    made = results.get("made_with") or results.get("provenance") or results["machine"]
-    link = f"[{Path(file).name}]({relpath(ROOT / file, page.parent)})"
-    commit, changed = made["commit"][:7], " with changes" if made["commit"].endswith("-dirty") else ""
-    where = f"{link}, commit {commit}{changed}, {made.get('cpu', 'AMD EPYC')}"
+    name, files = found.groups()
+    studies = [json.loads((ROOT / file).read_text(encoding="utf-8")) for file in files.split()]
     kind, tabulate = TABLES[name]
-    table = as_markdown(kind, list(tabulate(results)))
-    return f"<!-- table {name} of {file} -->\n{table}\n*{where}*\n<!-- end -->"
+    table = as_markdown(kind, list(tabulate(*studies)))
+    where = "; ".join(_source(file, study, page) for file, study in zip(files.split(), studies, strict=True))
+    return f"<!-- table {name} of {files} -->\n{table}\n*{where}*\n<!-- end -->"
+
+
+def _source(file: str, results: Results, page: Path) -> str:
+    """Name a results file, and what made it."""
+    made = results.get("made_with") or results.get("provenance") or results["machine"]
+    commit, changed = made["commit"][:7], " with changes" if made["commit"].endswith("-dirty") else ""
+    link = f"[{Path(file).name}]({relpath(ROOT / file, page.parent)})"
+    return f"{link}, commit {commit}{changed}, {made.get('cpu', 'AMD EPYC')}"
 
 
 def main() -> None:
