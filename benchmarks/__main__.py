@@ -51,7 +51,6 @@ def main() -> None:
         engines.bodies,
         engines.packing,
         evolution.own_work,
-        evolution.batched_trials,
         engines.two_processes,
         networks.inference,
         networks.generation,

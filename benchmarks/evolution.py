@@ -1,9 +1,8 @@
-"""Evolution's own share of a generation, the rest of which is simulation; and batched trials."""
+"""Evolution's own share of a generation, the rest of which is simulation."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 from unittest import mock
@@ -18,8 +17,6 @@ from tasks.simulation import batch, simulate
 from tasks.world import DryLand, Environment, TrueSlush
 
 N_GENERATIONS = 100
-LAPTOP_POPULATION = 16
-"""Population size of the preset `laptop`."""
 
 
 def own_work() -> list[Benchmark]:
@@ -72,33 +69,3 @@ def _shares(environment: Environment, trial: int) -> tuple[float, float]:
     encoding = time.perf_counter() - start
     own = evolved - (evaluating - packing)
     return 100 * own / evolved, 100 * (own + encoding) / (evolved + encoding)
-
-
-def batched_trials() -> list[Benchmark]:
-    """Compare four batched trials of 16 designs with four trials one by one."""
-    figures = []
-    for environment in (TrueSlush(0.0), TrueSlush(1.0), TrueSlush(9.0)):
-        _seconds(environment, range(4))  # compiles
-        shares = []
-        for trials in (range(first, first + 4) for first in range(0, 4 * N_ROUNDS, 4)):
-            one_by_one = sum(_seconds(environment, [trial]) for trial in trials)
-            shares.append(100 * _seconds(environment, trials) / one_by_one)
-        figures.append(Benchmark(f"four trials batched over one by one, d = {environment.depth:g}", shares, "%"))
-    return figures
-
-
-def _seconds(environment: Environment, trials: Sequence[int]) -> float:
-    """Time a few generations of batched trials."""
-
-    def score(designs: Designs) -> Evaluation:
-        return evaluate(simulate(designs, environment), disagreement_penalty=0.0)
-
-    start = time.perf_counter()
-    evolve(
-        [Trial(partial(generator, trial)) for trial in trials],
-        score,
-        first_generation=0,
-        n_generations=N_GENERATIONS // 4,
-        search=Afpo(population_size=LAPTOP_POPULATION),
-    )
-    return time.perf_counter() - start
