@@ -25,12 +25,13 @@ from pipeline.errors import PuddleError
 from pipeline.stages import STAGES, environments
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import NetworkId
-from pipeline.stages.segments import compute_segment, population_of
+from pipeline.stages.segments import SegmentSpec, compute_segment, population_of
 from pipeline.stages.train import member_files
 from pipeline.store.store import Store
 from pipeline.workflow.graph import ChainProgress, StageRun, survey
 from pipeline.workflow.identity import TrialId
 from pipeline.workflow.stage import Files, Item
+from tasks.analysis import paper
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.evolution import Evaluation, penalised_mean
@@ -42,6 +43,7 @@ from tasks.residual.training import TrainedMember
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs/results/paper-networks"
 COLLECT, TRAIN, EVOLVE = STAGES[:3]
+SURVIVORS = {"residual_slush": "ensemble_table", "single_member": "single_table"}  # genes of the last, by environment
 
 
 def networks(data_set: int, transitions: Transitions) -> Iterator[TrainedMember]:
@@ -87,27 +89,30 @@ def commit_trials(run: StageRun, folder: Path) -> None:
     for progress in run.chains():
         trial = progress.chain.identity
         assert isinstance(trial, TrialId)
-        if trial.environment == "true_slush":
+        if trial.environment not in SURVIVORS or trial.depth != paper.DEPTH:
             continue
-        evolved, single = np.load(folder / f"evolution-{trial.index}.npz"), trial.environment == "single_member"
-        scores = evolved["displacement"][:, :, 8:] if single else evolved["displacement"][:, :, :8]
+        if trial.replicate != trial.index:
+            raise PuddleError(f"{trial.label} is of data set {trial.replicate}: set grid.n_trials to replicates")
+        evolved = np.load(folder / f"evolution-{trial.index}.npz")
+        by_members = evolved["displacement"].astype(np.float64)
+        scores = by_members[:, :, -1:] if trial.environment == "single_member" else by_members[:, :, :-1]
         if len(scores) < (expected := run.settings.evolution.n_generations):
             raise PuddleError(f"evolution-{trial.index}.npz: expected {expected} generations, got {len(scores)}")
         while not progress.finished:
             item = run.next_item(progress)
-            generations = iter(scores[item.spec.first_generation :].astype(np.float64))
+            generations, spec = iter(scores[item.spec.first_generation :]), item.spec
 
-            def score(_: Designs, generations: Iterator[Float64] = generations) -> Evaluation:
+            def score(_: Designs, generations: Iterator[Float64] = generations, of: SegmentSpec = spec) -> Evaluation:
                 root, whole = np.moveaxis(next(generations), 2, 0)
-                return Evaluation(penalised_mean(root, disagreement_penalty=1.0), root, whole)
+                fitness = penalised_mean(root, disagreement_penalty=of.trial.disagreement_penalty)
+                return Evaluation(fitness, root, whole)
 
             inputs = {name: source.read(run.store) for name, source in item.inputs.items()}
-            with patch.object(environments, "scorer", lambda *_, score=score: score):
+            with patch.object(environments, "scorer", lambda *_, score=score: score):  # in place of a simulation
                 files = compute_segment(item, inputs)
+            if spec.first_generation + spec.n_generations == len(scores):
+                np.testing.assert_array_equal(population_of(files).table, evolved[SURVIVORS[trial.environment]])
             _commit(run, progress, item, files)
-            if progress.finished and len(scores) == expected:
-                table = evolved["single_table" if single else "ensemble_table"]
-                np.testing.assert_array_equal(population_of(files).table, table)
 
 
 def _commit(run: StageRun, progress: ChainProgress, item: Item[Any], files: Files) -> None:

@@ -89,7 +89,7 @@ class Beside:
 
 
 def verdicts(*studies: Results) -> Iterable[Beside]:
-    """Compare the paper's numbers, other than t tests, with those of studies."""
+    """Compare the paper's numbers, other than t tests, with those of studies of large and of small networks."""
     rows: dict[tuple[str, str], list[Any]] = {}
     for k, study in enumerate(studies):
         for row in study["comparison"]:

@@ -8,7 +8,7 @@ step, in float32 or, with --tf32, with products of TF32. In the checkout, with t
 FOLDER/evolution-K.npz has the displacements [m] of all designs of data set K, of the root and of the whole robot, under
 the members of the ensemble and, last, the single network: (n_generations, n_designs, n_members + 1, 2). The designs
 follow from them and the seeds; benchmarks/paper_networks.py makes a study's trials of them. The tables of the last
-survivors' genes prove it.
+survivors' genes serve to check that.
 """
 
 import argparse
@@ -37,7 +37,7 @@ from tasks.simulation.trees.groups import Groups
 from tasks.world import ResidualSlush
 
 FOLDER = Path(__file__).parent
-DEPTH, SEED = 9.0, 1
+DEPTH, SEED = 9.0, 1  # these and Afpo() are the preset's
 N_SETTLE, N_MEASURE = 200, 1200
 READ = np.array([layout.QUANTITIES[INPUTS[name]] for name in OBSERVATION])
 WRITTEN = np.array([layout.VX, layout.VY, layout.OMEGA])
@@ -45,7 +45,7 @@ WRITTEN = np.array([layout.VX, layout.VY, layout.OMEGA])
 
 @numba.njit(error_model="numpy")
 def read(blocks, rows, x):
-    """Copy links of (n_groups, n_rows, n_lanes) robots to (n_robots, n_links, n_inputs) inputs of networks."""
+    """Copy links of full (n_groups, n_rows, n_lanes) robots to (n_robots, n_links, n_inputs) inputs of networks."""
     n_lanes = blocks.shape[2]
     for group in range(blocks.shape[0]):
         for link in range(x.shape[1]):
@@ -86,7 +86,7 @@ class Exchange:
         """Never called: push replaces Groups.push."""
 
 
-Groups.push = lambda robots, medium: medium.push(robots.blocks)
+Groups.push = lambda robots, medium: medium.push(robots.blocks)  # faster than velocity_change, which copies more often
 
 
 def shared(*shape, dtype=np.float32):
@@ -165,11 +165,12 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--sets", default="0,1,2,3,4")
     parser.add_argument("--generations", type=int, default=1000)
-    parser.add_argument("--minutes", type=float, default=9.0, help="begin no generation after them")
+    parser.add_argument("--minutes", type=float, default=60.0, help="begin no generation after them")
     parser.add_argument("--workers", type=int, default=15, help="processes that step robots")
     parser.add_argument("--tf32", action="store_true")
     parser.add_argument("--out", type=Path, default=Path())
     options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     ends = time.time() + 60 * options.minutes
     sets = [int(k) for k in options.sets.split(",")]
     search = Afpo()
@@ -190,7 +191,7 @@ def main():
     tables, scores = (shared(n_networks, n_designs, n, dtype=np.float64) for n in (N_COLUMNS, 2))
     generation, answered = shared(1, dtype=np.int64), shared(1, dtype=np.int64)
     shares = np.array_split(np.arange(n_networks), min(options.workers, n_networks))
-    sent = shared(len(shares), 8, dtype=np.int64)  # requests and generations of each process
+    sent = shared(len(shares), 8, dtype=np.int64)  # a process's requests and generations, in its own cache line
 
     def exchange(share):
         at = slice(share[0], share[-1] + 1)
@@ -198,7 +199,7 @@ def main():
         return at, x[at].reshape(of_robots), y[at].reshape(of_robots)
 
     search.ask(EMPTY_POPULATION, generator(SEED))  # compile before the fork
-    answered[0] = 10
+    answered[0] = 10  # more requests than it has steps, so that nothing waits
     tables[:] = search.ask(EMPTY_POPULATION, generator(SEED)).table
     at, own_x, own_y = exchange(shares[0])
     alone = Exchange(own_x, own_y, np.zeros(2, np.int64), answered)
@@ -210,7 +211,7 @@ def main():
     )
     answered[0] = 0
     print(f"compiled, {ends - time.time():.0f} s left", flush=True)
-    for i, share in enumerate(shares):
+    for i, share in enumerate(shares):  # before CUDA starts, which does not survive a fork
         at, own_x, own_y = exchange(share)
         medium = Exchange(own_x, own_y, sent[i], answered)
         multiprocessing.get_context("fork").Process(
@@ -230,7 +231,7 @@ def main():
         for _ in range(N_SETTLE + N_MEASURE):
             while sent[:, 0].min() == answered[0]:
                 os.sched_yield()
-                assert time.time() < ends + 60, "a process died"
+                assert time.time() < ends + 60, "no answer: a process died"
             asked_at = time.perf_counter()
             predict()
             answered[0] += 1
