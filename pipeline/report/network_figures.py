@@ -80,7 +80,8 @@ def prediction_accuracy(assessed: Mapping[str, Assessed], regressions: Sequence[
     for group, one in assessed.items():
         mean = one.predicted.mean(axis=0)
         known = np.isfinite(mean) & np.isfinite(one.true)
-        panels[group] = mean[known], one.true[known]
+        if (group, MEAN) in fits:  # else it was assessed, and is not analysed yet
+            panels[group] = mean[known], one.true[known]
     shown = np.concatenate([values for pair in panels.values() for values in pair]) if panels else np.empty(0)
     if not len(shown):
         raise NothingToDraw

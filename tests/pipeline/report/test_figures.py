@@ -83,6 +83,7 @@ def test_the_arms_have_their_colours_and_names_and_the_paper_is_at_nine_metres(s
 
 def test_a_study_that_has_only_begun_draws_nothing(study):
     assert draw_all(StudyPage(study.settings)) == {}
+    assert "prediction_accuracy" not in draw_all(replace(study, tables={}))  # what is assessed is not analysed yet
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,6 @@ def test_a_shorter_trial_cuts_the_mean_curve(study, monkeypatch):
 
 
 def test_r_and_slope_are_above_each_histogram(drawn, study):
-    """For μ and μ − σ."""
     fits = {fit.name: fit for fit in study.rows("regressions") if fit.learned_from == "throws"}
     shown = texts(drawn["prediction_accuracy"])
     for symbol, fit in (("μ", fits["mean"]), ("μ − σ", fits["mean - 1 sd"])):
