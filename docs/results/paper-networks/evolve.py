@@ -193,16 +193,15 @@ def main():
     shares = np.array_split(np.arange(n_networks), min(options.workers, n_networks))
     sent = shared(len(shares), 8, dtype=np.int64)  # a process's requests and generations, in its own cache line
 
-    def exchange(share):
+    def exchange(share, requests):
         at = slice(share[0], share[-1] + 1)
         of_robots = (len(share) * n_designs, N_LINKS, -1)
-        return at, x[at].reshape(of_robots), y[at].reshape(of_robots)
+        return at, Exchange(x[at].reshape(of_robots), y[at].reshape(of_robots), requests, answered)
 
     search.ask(EMPTY_POPULATION, generator(SEED))  # compile before the fork
     answered[0] = 10  # more requests than it has steps, so that nothing waits
     tables[:] = search.ask(EMPTY_POPULATION, generator(SEED)).table
-    at, own_x, own_y = exchange(shares[0])
-    alone = Exchange(own_x, own_y, np.zeros(2, np.int64), answered)
+    at, alone = exchange(shares[0], np.zeros(2, np.int64))
     simulate(
         Designs.from_table(tables[at].reshape(-1, N_COLUMNS).copy()),
         ResidualSlush(DEPTH, alone),
@@ -212,8 +211,7 @@ def main():
     answered[0] = 0
     print(f"compiled, {ends - time.time():.0f} s left", flush=True)
     for i, share in enumerate(shares):  # before CUDA starts, which does not survive a fork
-        at, own_x, own_y = exchange(share)
-        medium = Exchange(own_x, own_y, sent[i], answered)
+        at, medium = exchange(share, sent[i])
         multiprocessing.get_context("fork").Process(
             target=work, args=(medium, tables[at], generation, scores[at]), daemon=True
         ).start()
