@@ -75,7 +75,6 @@ ZERO_SHOT = {
 }
 ADAPTED = {("dry_land", 9.0): [4.0, 8.0], ("residual_slush", 9.0): [11.0, 11.0], ("dry_land", 1.0): [21.0]}
 PREDICTED = {("residual_slush", 9.0): [7.0, 6.0], ("single_member", 9.0): [20.0]}
-OF_SCORES = ("scores", "transfer", "paper")
 
 
 @pytest.fixture(scope="session")
@@ -91,7 +90,7 @@ def study(slush_replay, dry_replay, predicted_replay) -> StudyPage:
         for k, group in enumerate(data.settings.data_sets)
     }
     data.assessed = assessed.get
-    tables = {name: ANALYSES[name].compute(data) for name in (*OF_SCORES, "regressions")}
+    tables = {name: ANALYSES[name].compute(data) for name in ("scores", "transfer", "paper", "regressions")}
     tables["exploiters"] = [Exploiter("residual_slush", 9.0, 0, 1, 7.0, 1.0, 6.0, 2.5)]
     time = np.linspace(0.0, 3.3, 60)
     start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))

@@ -173,13 +173,14 @@ def test_how_it_was_made_is_there_and_the_page_is_the_same_each_time(html, study
 
 
 def test_what_a_study_does_not_have_is_left_out(study, html):
-    """No networks: not a word on them, and no reasons."""
+    """No networks: not a word on them, and no reasons. No t tests: none are counted."""
     networks, scored = {"networks", "trust", "watch", "data_set", "table-exploiters"}, {"table-transfer", "table-paper"}
     assert {*networks, *scored, "made"} <= set(Page(html).ids)
     for names, ids in (("scores", "transfer", "paper"), scored), ((), set()):
-        lean = StudyPage(study.settings, tables={name: study.tables[name] for name in names})
+        tables = {**study.tables, "paper": [row for row in study.tables["paper"] if row.kind == "number"]}
+        lean = StudyPage(study.settings, tables={name: tables[name] for name in names})
         page = Page(render_page(lean, draw_all(lean)))
-        assert page.open == [] and page.scripts == {}
+        assert page.open == [] and page.scripts == {} and "t tests" not in page.text
         assert {"made", *ids} == set(page.ids) & {*networks, *scored, "made"}
     assert "This page fills up as the study progresses" in page.text
 
