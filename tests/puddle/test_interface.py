@@ -57,14 +57,14 @@ def test_a_design_is_saved_and_loaded(tmp_path):
         puddle.save_design(replace(design, frequency=np.array([3.0])), tmp_path / "fast.json")
 
 
-@pytest.mark.parametrize("depth", [0.0, 1.0, 2.0, 3.0, 4.0, 9.0])
-def test_published_champions_travel_as_their_table_says(depth):
+def test_published_champions_travel_as_their_table_says():
     path = Path(puddle.__file__).parents[1] / "docs" / "champions.parquet"
     table, designs = pq.read_table(path), puddle.open_designs(path)
-    assert len(table) == len(designs) == 300
-    there = np.flatnonzero(table["depth"].to_numpy() == depth)
-    travelled = puddle.simulate(designs[there], puddle.TrueSlush(depth)).displacement
-    assert (travelled == table["zero_shot"].to_numpy()[there]).all()
+    assert len(table) == len(designs) > 0
+    for depth in np.unique(table["depth"]):
+        there = np.flatnonzero(table["depth"].to_numpy() == depth)
+        travelled = puddle.simulate(designs[there], puddle.TrueSlush(float(depth))).displacement
+        assert (travelled == table["zero_shot"].to_numpy()[there]).all()
 
 
 class Honey:
