@@ -3,7 +3,9 @@
 import contextlib
 import os
 import signal
+import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
@@ -18,6 +20,7 @@ _QUOTAS = (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"))
 """Files with a container's quota and period of processor time: of cgroups version 2, and of version 1."""
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_SECONDS_TO_IMPORT = 0.05  # after which a signal that met an import is sent again
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
 
 
@@ -46,13 +49,22 @@ def number_of_cores() -> int:
 def signals_unwind() -> Iterator[Callable[[], None]]:
     """Make SIGTERM and SIGHUP unwind the stack as Ctrl-C does, through every ``finally``, so that no process is left.
 
-    An ignored signal stays ignored, as `nohup` requests. Yields a function that installs the handlers again, for use
-    after a library has replaced them.
+    All three wait for the end of an import: there, libraries swallow exceptions, and one in Python's own code may leave
+    the lock of all imports taken. An ignored signal stays ignored, as `nohup` requests. Yields a function that installs
+    the handlers again, for use after a library has replaced them.
     """
-    numbers = (signal.SIGTERM, signal.SIGHUP) if threading.current_thread() is threading.main_thread() else ()
+    ctrl_c = (signal.SIGINT,) if signal.getsignal(signal.SIGINT) is signal.default_int_handler else ()
+    in_main = threading.current_thread() is threading.main_thread()
+    numbers = (*ctrl_c, signal.SIGTERM, signal.SIGHUP) if in_main else ()
     received: list[int] = []
+    n_before = _n_import_frames(sys._getframe())
 
-    def unwind(number: int, _frame: FrameType | None) -> NoReturn:
+    def unwind(number: int, frame: FrameType | None) -> None:
+        if _n_import_frames(frame) > n_before:
+            threading.Timer(_SECONDS_TO_IMPORT, os.kill, (os.getpid(), number)).start()
+            return
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
         received.append(number)
         raise SystemExit
 
@@ -63,6 +75,11 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
             if received:
                 raise SystemExit(128 + received[0]) from stop  # ray.wait replaces the code of a SystemExit by 1
             raise
+
+
+def _n_import_frames(frame: FrameType | None) -> int:
+    """Return how many of a stack's frames belong to Python's import machinery."""
+    return sum(one.f_code.co_filename.startswith("<frozen importlib") for one, _ in traceback.walk_stack(frame))
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """Signals wait for what must not be cut in two, but not for ever; libraries find one thread and no display."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -75,6 +76,20 @@ def stopped_by(number: int) -> None:
             time.sleep(1)
     finally:
         signal.signal(number, before)
+
+
+@pytest.mark.parametrize(
+    ("number", "raised"),
+    [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit), (signal.SIGHUP, SystemExit)],
+)
+def test_a_signal_waits_for_the_end_of_an_import(number, raised, monkeypatch, tmp_path):
+    (tmp_path / "stopped.py").write_text(f"import os, time\nos.kill(os.getpid(), {number:d})\ntime.sleep(0.1)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "stopped", raising=False)
+    with pytest.raises(raised), signals_unwind():
+        importlib.import_module("stopped")
+        time.sleep(1)
+    assert "stopped" in sys.modules
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
