@@ -57,10 +57,14 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
     in_main = threading.current_thread() is threading.main_thread()
     numbers = (*ctrl_c, signal.SIGTERM, signal.SIGHUP) if in_main else ()
     received: list[int] = []
-    n_before = _n_import_frames(sys._getframe())
+
+    def n_imports(frame: FrameType | None) -> int:
+        return sum(one.f_code.co_filename.startswith("<frozen importlib") for one, _ in traceback.walk_stack(frame))
+
+    n_before = n_imports(sys._getframe())
 
     def unwind(number: int, frame: FrameType | None) -> None:
-        if _n_import_frames(frame) > n_before:
+        if n_imports(frame) > n_before:
             threading.Timer(_SECONDS_TO_IMPORT, os.kill, (os.getpid(), number)).start()
             return
         if number == signal.SIGINT:
@@ -75,11 +79,6 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
             if received:
                 raise SystemExit(128 + received[0]) from stop  # ray.wait replaces the code of a SystemExit by 1
             raise
-
-
-def _n_import_frames(frame: FrameType | None) -> int:
-    """Return how many of a stack's frames belong to Python's import machinery."""
-    return sum(one.f_code.co_filename.startswith("<frozen importlib") for one, _ in traceback.walk_stack(frame))
 
 
 @contextlib.contextmanager
