@@ -20,7 +20,7 @@ _QUOTAS = (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"))
 """Files with a container's quota and period of processor time: of cgroups version 2, and of version 1."""
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_SECONDS_TO_IMPORT = 0.05  # after which a signal that met an import is sent again
+_SECONDS_UNTIL_RESENT = 0.05  # after which a signal that met an import is sent again
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
 
 
@@ -65,7 +65,7 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
 
     def unwind(number: int, frame: FrameType | None) -> None:
         if n_imports(frame) > n_before:
-            threading.Timer(_SECONDS_TO_IMPORT, os.kill, (os.getpid(), number)).start()
+            threading.Timer(_SECONDS_UNTIL_RESENT, os.kill, (os.getpid(), number)).start()
             return
         if number == signal.SIGINT:
             raise KeyboardInterrupt
