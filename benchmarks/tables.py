@@ -22,6 +22,7 @@ from pipeline.report.render import as_markdown
 from tasks.analysis import paper
 from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
 from tasks.analysis.registry import column
+from tasks.analysis.tables.transfer import papers_mean
 from tasks.world import environment_kind
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -53,6 +54,36 @@ def shares(results: Results) -> Iterable[Share]:
         elif name != "designed_single_member" and arm["depth"] == paper.DEPTH:
             of = (_share(results, name, score) for score in ("zero_shot", "adapted"))
             yield Share(_label(name), arm["predicted"]["mean"], arm["zero_shot"]["mean"], *of)
+
+
+@dataclass(frozen=True)
+class Front:
+    """How much of *E* the champions of an arm keep, beside the paper's number."""
+
+    evolved: str = column("robots evolved", form="{}")
+    n: int = column("trials", form="{}")
+    zero_shot: Estimate = column("zero-shot (95 %)", form="{:z.0%}")
+    papers_zero_shot: float | None = column("paper", form="{:z.0%}")
+    adapted: Estimate = column("adapted (95 %)", form="{:z.0%}")
+    papers_adapted: float | None = column("paper", form="{:z.0%}")
+
+
+def front(large: Results, small: Results) -> Iterable[Front]:
+    """Tabulate shares of the same *E*, that of the second study, at 9 m."""
+    best = _sample(small, paper.BEST[0], "zero_shot", paper.DEPTH, 1)
+    for evolved, study, name in (
+        ("on dry land", small, "dry_land"),
+        ("under large networks, from the paper’s throws", large, "residual_slush"),
+        ("under small networks, from designed throws", small, "designed_throws"),
+        ("in slushes drawn at random around the true one", small, "randomised_slush"),
+    ):
+        n_data_sets = study["n_replicates"] if environment_kind(name).learned else 1
+        row: list[Any] = []
+        for score in ("zero_shot", "adapted"):
+            sample = _sample(study, name, score, paper.DEPTH, n_data_sets)
+            papers, whole = papers_mean(name, score, paper.DEPTH), papers_mean(*paper.BEST, paper.DEPTH)
+            row += [ratio(sample, best, rng=np.random.default_rng(0)), papers and whole and papers / whole]
+        yield Front(evolved, len(sample.values), *row)
 
 
 @dataclass(frozen=True)
@@ -276,6 +307,7 @@ def bench(results: Results) -> Iterable[Bench]:
 
 TABLES: Mapping[str, tuple[type, Callable[..., Iterable[object]]]] = {
     "shares": (Share, shares),
+    "front": (Front, front),
     "depths": (AtDepth, depths),
     "verdicts": (Beside, verdicts),
     "variants": (Variant, variants),
