@@ -3,14 +3,20 @@
 numba does not notice the edit of a module that a kernel calls, and runs whatever it finds on the disk. So the folder is
 named by a digest of the kernels' sources, numba and the processor, and lists the SHA-256 of its files. The first kernel
 of a process checks them; a folder that differs from its list is discarded.
+
+A kernel can be compiled from what its module names, and no more. So its sources are its module and what that imports,
+at any depth; for a name that is imported from a package, all that the package imports. A module that a registry finds
+in its folder, such as a user's medium, is none of them.
 """
 
+import ast
 import contextlib
 import fcntl
 import functools
 import hashlib
 import json
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -22,24 +28,34 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.event import Listener, register
 
-import tasks
+from pipeline.sources import Sources, imported_names, read_modules
 from tasks.compiled import KERNELS
 from tasks.simulation.batch import needed_kernels
 from tasks.world import Physics
 
-SOURCES = ("*.py", "design/*.py", "residual/*.py", "simulation/**/*.py", "world/*.py")
-"""Where kernels are, and all that is compiled into them, below the package tasks."""
+_MAKES_KERNELS = re.compile(rb"\bcompiled\(|\bnumba\.extending\b")  # or teaches numba what kernels call
 _DIGESTS = "digests.json"
+
+
+def kernel_sources(modules: Sources) -> Sources:
+    """Select the modules that kernels are compiled from: those that make kernels and, in turn, all that is imported."""
+    pending = [name for name, content in modules.items() if _MAKES_KERNELS.search(content)]
+    sources: Sources = {}
+    while pending:
+        name = pending.pop()
+        if name in modules and name not in sources:
+            sources[name] = modules[name]
+            pending += imported_names(ast.parse(modules[name]))
+    return sources
 
 
 @functools.cache
 def cache_folder() -> Path:
     """Return the folder of the kernels that this code and this machine need."""
-    root = Path(tasks.__file__).parent
     processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()
     content = hashlib.sha256(repr((numba.__version__, sys.version_info[:3], processor)).encode())
-    for path in sorted({path for pattern in SOURCES for path in root.glob(pattern)}):
-        content.update(f"\0{path.relative_to(root)}\0".encode() + path.read_bytes())
+    for name, source in sorted(kernel_sources(read_modules("tasks")).items()):
+        content.update(f"\0{name}\0".encode() + source)
     return users_folder() / content.hexdigest()[:16]
 
 

@@ -11,31 +11,21 @@ import ast
 import functools
 import hashlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
+from pipeline.sources import imported_names, read_modules
 from pipeline.store.manifest import Manifest
 from pipeline.workflow.stage import AnyStage
 
 PACKAGES = ("tasks", "pipeline.stages", "pipeline.report")
 """Packages that make results. What the others write carries a version, or is the same for all stages."""
 
-Sources = Mapping[str, bytes]  # content of modules, by name
-
-
-@functools.cache
-def sources() -> Sources:
-    """Read the modules of the packages that make results."""
-    root = Path(__file__).resolve().parents[2]
-    paths = [path for package in PACKAGES for path in root.joinpath(*package.split(".")).rglob("*.py")]
-    names = [".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__") for path in paths]
-    return {name: path.read_bytes() for name, path in zip(names, paths, strict=True)}
-
 
 @functools.cache
 def recorded_code(stage: AnyStage) -> dict[str, str]:
     """Return what an item's record says of the code that made it: a short digest of each module of its stage."""
-    return {"modules": " ".join(sorted(digests([stage.item.__module__, stage.compute.__module__], sources())))}
+    modules = digests([stage.item.__module__, stage.compute.__module__], read_modules(*PACKAGES))
+    return {"modules": " ".join(sorted(modules))}
 
 
 def is_of_other_code(manifest: Manifest, stage: AnyStage) -> bool:
@@ -44,7 +34,7 @@ def is_of_other_code(manifest: Manifest, stage: AnyStage) -> bool:
     return not set(modules.split()) <= set(recorded_code(stage)["modules"].split())
 
 
-def digests(modules: Sequence[str], files: Sources) -> set[str]:
+def digests(modules: Sequence[str], files: Mapping[str, bytes]) -> set[str]:
     """Return a short digest of each of some modules and of all that they import, without comments and docstrings.
 
     Imports inside functions count. A package below ``PACKAGES`` is imported with each of its modules, and one that uses
@@ -67,13 +57,7 @@ def digests(modules: Sequence[str], files: Sources) -> set[str]:
 def _parsed(source: bytes) -> tuple[str, Sequence[str]]:
     """Return a module's code without its comments and docstrings, and the names that it imports."""
     tree = ast.parse(source)
-    imports: list[str] = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            imports += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            imports += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-    return ast.dump(_WithoutTexts().visit(tree)), imports
+    return ast.dump(_WithoutTexts().visit(tree)), imported_names(tree)
 
 
 class _WithoutTexts(ast.NodeTransformer):

@@ -7,7 +7,8 @@ from tasks.compiled import compiled
 from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION, Column
 from tasks.simulation.simd import rotation
 from tasks.simulation.simd.lanes import Block
-from tasks.world import LinkStates, Medium, Physics
+from tasks.world.medium import LinkStates, Medium
+from tasks.world.physics import Physics
 
 _N_LANES = 16
 

@@ -12,7 +12,7 @@ import numpy as np
 from tasks.arrays import Float32, Floats
 from tasks.design.body import RigidBodies
 from tasks.design.genes import N_LINKS
-from tasks.world import VelocityChange
+from tasks.world.medium import VelocityChange
 
 
 @dataclass(frozen=True, eq=False)

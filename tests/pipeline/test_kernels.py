@@ -1,5 +1,6 @@
 """Kernels are compiled once on a machine, again when their source changes, and never loaded damaged."""
 
+import inspect
 import os
 import shutil
 import subprocess
@@ -11,7 +12,9 @@ import numba
 import pytest
 
 from pipeline import kernels
-from tasks.compiled import compiled
+from pipeline.kernels import kernel_sources
+from pipeline.sources import read_modules
+from tasks.compiled import KERNELS, compiled
 from tasks.world import Physics
 
 ROOT = Path(__file__).parents[2]
@@ -46,13 +49,50 @@ def test_a_kernel_is_compiled_once_until_a_source_is_edited(compilations, tmp_pa
     assert compilations() == []
 
 
-def test_every_module_with_kernels_is_a_source():
-    tasks = ROOT / "tasks"
-    sources = {path for pattern in kernels.SOURCES for path in tasks.glob(pattern)}
-    with_kernels = {
-        path for path in tasks.rglob("*.py") if "numba" in (text := path.read_text()) or "tasks.compiled" in text
-    }
-    assert len(with_kernels) > 10 and with_kernels <= sources
+MODULES = read_modules("tasks")
+
+
+def modules_reached(function, reached: dict[object, str]) -> dict[object, str]:
+    """Follow the names in a function's code to the functions that it calls; return the module of each."""
+    function = getattr(function, "py_func", function)
+    if not hasattr(function, "__code__") or function in reached:
+        return reached
+    reached[function] = function.__module__
+    for name in (names := function.__code__.co_names):
+        named = function.__globals__.get(name)
+        for value in [getattr(named, one, None) for one in names] if inspect.ismodule(named) else [named]:
+            modules_reached(value, reached)
+    return reached
+
+
+def test_a_module_of_any_function_that_kernels_call_is_a_source():
+    reached: dict[object, str] = {}
+    for kernel in KERNELS:
+        modules_reached(kernel, reached)
+    own = {module for module in reached.values() if module.startswith("tasks.")}
+    assert {"tasks.simulation.simd.rotation", "tasks.design.variation_kernels"} <= own <= kernel_sources(MODULES).keys()
+    assert "tasks.world.slush" in kernel_sources(MODULES)  # trees/step.py names a constant of it
+
+
+def test_imports_of_sources_are_sources_and_packages_around_them_are_not():
+    modules = {"tasks.a": b"import tasks.c.d", "tasks.b": b"compiled(f)", "tasks.c": b"", "tasks.c.d": b""}
+    assert kernel_sources(modules).keys() == {"tasks.b"}
+    modules["tasks.b"] += b"\nfrom tasks import a"
+    assert kernel_sources(modules).keys() == {"tasks.a", "tasks.b", "tasks.c.d"}
+
+
+@pytest.mark.parametrize(
+    "name", ["world.flowing_slush", "world.randomised_slush", "residual.training", "evolution.afpo"]
+)
+def test_an_edit_of_another_module_compiles_nothing(name):
+    """Such as a medium, which a registry finds in its folder."""
+    edited = {**MODULES, f"tasks.{name}": b"from tasks.world.slush import Slush"}
+    assert kernel_sources(edited) == kernel_sources(MODULES)
+
+
+def test_a_medium_with_a_kernel_of_its_own_is_a_source():
+    own = {"tasks.world.honey": b"push = compiled(_push, seconds=1)"}
+    assert kernel_sources({**MODULES, **own}) == kernel_sources(MODULES) | own
 
 
 def doubled(x):

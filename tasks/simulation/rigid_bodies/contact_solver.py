@@ -13,8 +13,8 @@ x (Cdot - bias) = 0; friction stays within ± μ x. Two points share a matrix K,
 
 from numpy import float32
 
+import tasks.simulation.box2d as box2d
 from tasks.compiled import inline
-from tasks.simulation import box2d
 from tasks.simulation.rigid_bodies.layout import BodyRecord, ContactPointRecord, ContactRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, rotate, transform
 from tasks.simulation.trees.joint import clamp

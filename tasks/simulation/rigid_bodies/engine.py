@@ -15,7 +15,8 @@ from tasks.simulation.rigid_bodies.layout import ROBOT, Records
 from tasks.simulation.rigid_bodies.packing import body_index, pack
 from tasks.simulation.trees.layout import QUANTITIES
 from tasks.simulation.trees.step import Scene
-from tasks.world import LinkStates, Medium, Physics
+from tasks.world.medium import LinkStates, Medium
+from tasks.world.physics import Physics
 
 _advance = compiled(step.advance_robots, seconds=12)
 

@@ -10,7 +10,7 @@ from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
 from tasks.simulation.controller import Controllers
 from tasks.simulation.free_links import sines_and_cosines
 from tasks.simulation.rigid_bodies.layout import GROUND, MAX_CONTACTS, ROBOT, Records
-from tasks.world import Physics
+from tasks.world.physics import Physics
 
 
 def boxes(half_width: Float32, half_height: Float32) -> tuple[Float32, Float32]:

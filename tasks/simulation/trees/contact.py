@@ -28,8 +28,8 @@ Position correction of a point, by β of the error and as a Newton step with the
     C    = clamp(β (separation + slop), -most, 0)              λ = -C / K     y += m λ,  angle += i r_x λ
 """
 
+import tasks.simulation.box2d as box2d
 from tasks.compiled import inline
-from tasks.simulation import box2d
 from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, any_lane, select
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import layout as at

@@ -13,7 +13,8 @@ from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.simd.lanes import Block
 from tasks.simulation.trees import layout, packing, step
 from tasks.simulation.trees.step import Scene
-from tasks.world import LinkStates, Medium, Physics
+from tasks.world.medium import LinkStates, Medium
+from tasks.world.physics import Physics
 
 advance_kernel = compiled(step.advance, seconds=12)
 

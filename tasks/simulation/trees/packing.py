@@ -12,7 +12,7 @@ from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.controller import Controllers
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
-from tasks.world import Physics
+from tasks.world.physics import Physics
 
 
 def discovery_order(parents: Sequence[int]) -> list[int]:

@@ -2,15 +2,17 @@
 
 import pytest
 
+from pipeline.sources import read_modules
 from pipeline.stages import STAGES
 from pipeline.store.manifest import Manifest
-from pipeline.workflow.code_digest import digests, is_of_other_code, recorded_code, sources
+from pipeline.workflow.code_digest import PACKAGES, digests, is_of_other_code, recorded_code
 
 _, _, EVOLVE, *_ = STAGES
+MODULES = read_modules(*PACKAGES)
 
 
 def digests_with(edited: dict[str, bytes], stage=EVOLVE) -> set[str]:
-    return digests([stage.item.__module__, stage.compute.__module__], {**sources(), **edited})
+    return digests([stage.item.__module__, stage.compute.__module__], {**MODULES, **edited})
 
 
 @pytest.mark.parametrize(
@@ -26,7 +28,7 @@ def digests_with(edited: dict[str, bytes], stage=EVOLVE) -> set[str]:
     ],
 )
 def test_an_edit_of_a_module_that_a_stage_imports_counts(module):
-    assert not digests_with({}) <= digests_with({module: sources()[module] + b"\nEDITED = 1\n"})
+    assert not digests_with({}) <= digests_with({module: MODULES[module] + b"\nEDITED = 1\n"})
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,28 @@
+"""The sources of this code: its modules' files, and what each of them imports."""
+
+import ast
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+Sources = dict[str, bytes]  # content of modules, by name
+
+
+@functools.cache
+def read_modules(*packages: str) -> Sources:
+    """Read the modules of some packages."""
+    root = Path(__file__).resolve().parents[1]
+    paths = [path for package in packages for path in root.joinpath(*package.split(".")).rglob("*.py")]
+    names = [".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__") for path in paths]
+    return {name: path.read_bytes() for name, path in zip(names, paths, strict=True)}
+
+
+def imported_names(tree: ast.AST) -> Sequence[str]:
+    """List the modules that a module imports, also inside functions, and whatever it imports from one."""
+    names: list[str] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return names
