@@ -13,7 +13,7 @@ import typer
 from pipeline.cluster import prepare_process
 from pipeline.commands import build, care, designs, studies, study
 from pipeline.commands.servo import servo
-from pipeline.commands.terminal import Commands, exit_with, flush, to_stdout
+from pipeline.commands.terminal import Commands, exit_with, flush, to_stdout, write_what_can_be_encoded
 
 app = typer.Typer(
     cls=Commands,
@@ -70,6 +70,7 @@ def main(arguments: list[str] | None = None, run: Callable[[list[str] | None], A
     A user's mistake ends in one message and exit code 2; a bug in puddle in a traceback and exit code 70.
     """
     prepare_process()
+    write_what_can_be_encoded()
     try:
         try:
             return run(arguments)

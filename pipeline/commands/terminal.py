@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import errno
+import io
 import json
 import os
 import signal
@@ -29,6 +30,13 @@ class OutputClosed(Exception):  # noqa: N818 (no mistake of anyone)
     """Raised where a command writes to a pipe that has no reader any more."""
 
 
+def write_what_can_be_encoded() -> None:
+    """Have a terminal or a log that is not UTF-8 show a question mark for what it can't show, whoever writes it."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # None where it was closed before the start
+            stream.reconfigure(errors="replace")
+
+
 def to_stdout(*lines: str) -> None:
     """Print lines of results. Raises OutputClosed or PuddleError if that is not possible."""
     with _written():
@@ -48,7 +56,7 @@ def to_stderr(line: str) -> None:
 
 def print_json(document: Any) -> None:
     """Print a JSON document on standard output."""
-    to_stdout(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    to_stdout(json.dumps(document, indent=2, allow_nan=False))
 
 
 def flush() -> None:

@@ -44,6 +44,15 @@ def test_a_command_without_an_output_ends_well():
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252:strict"])
+def test_a_terminal_that_is_not_utf_8_shows_what_it_can(encoding, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", encoding)
+    with (tmp_path / "shown").open("w+b") as shown:
+        ended = in_a_process("settings", "--preset", "smoke", stdout=shown)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert b"?/2" in (tmp_path / "shown").read_bytes()  # π/2
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_unknown_option_is_a_users_mistake(command, capsys):
     assert "--no-such-option" in refused(capsys, *command.split(), "--no-such-option")
