@@ -1,5 +1,7 @@
 """Type aliases of NumPy arrays."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -8,4 +10,5 @@ Float64 = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.floating]
 Int64 = npt.NDArray[np.int64]
 Ints = npt.NDArray[np.integer]
+Labels = npt.NDArray[Any]  # whole numbers or text
 Bools = npt.NDArray[np.bool_]

@@ -129,17 +129,18 @@ def _link_paths(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
 
 def _read_tracks(path: Path) -> dict[int, LinkPath]:
     rows, _ = read_track_table(path.read_bytes(), str(path))
-    table = np.column_stack((rows.throw, rows.time, rows.x, rows.y, rows.angle))
+    table = np.column_stack((rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
         raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")
     found: dict[int, LinkPath] = {}
-    for link in np.unique(table[:, 0]).astype(int).tolist():
-        if not 0 <= link < N_LINKS:
+    links = {str(link): link for link in range(N_LINKS)}
+    for link in np.unique(rows.throw):
+        if str(link) not in links:
             raise PuddleError(
                 f"{path}: throw {link}: expected links of a robot, 0 to {N_LINKS - 1}: track the run with --robot"
             )
-        own = table[table[:, 0] == link]
-        if (late := np.flatnonzero(np.diff(own[:, 1]) <= 0)).size:
+        own = table[rows.throw == link]
+        if (late := np.flatnonzero(np.diff(own[:, 0]) <= 0)).size:
             raise PuddleError(f"{path}: link {link}, frame {late[0] + 1}: expected a time later than the frame before")
-        found[link] = (own[:, 1], np.column_stack((own[:, 2:4], np.unwrap(own[:, 4]))))
+        found[links[str(link)]] = (own[:, 0], np.column_stack((own[:, 1:3], np.unwrap(own[:, 3]))))
     return found

@@ -5,7 +5,9 @@ Nothing is guessed: docs/your-own-tank.md converts the files of other programs.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,13 +15,15 @@ import pyarrow.csv
 
 from pipeline.errors import PuddleError
 from pipeline.store.design_file import read_parquet
-from tasks.arrays import Float64, Int64
+from tasks.arrays import Labels
 from tasks.tracks import Bars, TrackTable
 
 TRACK_COLUMNS = ("throw", "time", "x", "y", "angle")
 DEVIATION_COLUMNS = ("x_sd", "y_sd", "angle_sd")
 BAR_COLUMNS = ("length", "width", "mass")
-_KNOWN = (*TRACK_COLUMNS, *DEVIATION_COLUMNS, *BAR_COLUMNS)
+_WHOLE = re.compile(r"([+-]?\d+)(\.0*)?")
+_NO_LABEL = re.compile(r"(nan|[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?)?", re.IGNORECASE)  # digits are lost, or empty
+_NUMBERS = (*TRACK_COLUMNS[1:], *DEVIATION_COLUMNS, *BAR_COLUMNS)
 
 
 def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None]:
@@ -30,13 +34,13 @@ def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None
         name: the file's name in messages.
 
     Raises:
-        PuddleError: it is neither, a column is missing, or a cell is not a number; the message names line or column.
+        PuddleError: it is neither, or a column or a cell is missing or not what it should be; the message names it.
     """
     columns = _read_columns(content, name)
     has_deviations = any(column in columns for column in DEVIATION_COLUMNS)
     _require(columns, (*TRACK_COLUMNS, *(DEVIATION_COLUMNS if has_deviations else ())), name)
     table = TrackTable(
-        _throws(columns["throw"], name),
+        _throws(columns, name),
         *(columns[column] for column in TRACK_COLUMNS[1:]),
         *(columns.get(column) for column in DEVIATION_COLUMNS),
     )
@@ -48,12 +52,15 @@ def read_bars(content: bytes, name: str) -> Bars:
     return _bars(_read_columns(content, name), name)
 
 
-def _read_columns(content: bytes, name: str) -> Mapping[str, Float64]:
+def _read_columns(content: bytes, name: str) -> Mapping[str, Any]:
+    """Return the known columns: numbers as arrays, throws as Arrow's column of text."""
     try:
         table = read_parquet(content) if content[:4] == b"PAR1" else _read_csv(content)
-        columns = {
-            column: table[column].cast(pa.float64()).to_numpy() for column in table.column_names if column in _KNOWN
+        columns: dict[str, Any] = {
+            column: table[column].cast(pa.float64()).to_numpy() for column in table.column_names if column in _NUMBERS
         }
+        if "throw" in table.column_names:
+            columns["throw"] = table["throw"].cast(pa.string())
     except (pa.ArrowException, KeyError, OSError) as error:  # KeyError: a column appears twice
         raise PuddleError(f"{name}: expected CSV (UTF-8) or Parquet with a row for each frame: {error}") from None
     if not len(table):
@@ -69,14 +76,16 @@ def _read_csv(content: bytes) -> pa.Table:
     return pa.csv.read_csv(
         pa.BufferReader(heading + b"\n" + rows),
         pa.csv.ReadOptions(use_threads=False),  # a message then names the row
-        convert_options=pa.csv.ConvertOptions(column_types=dict.fromkeys(_KNOWN, pa.float64())),
+        convert_options=pa.csv.ConvertOptions(
+            column_types={**dict.fromkeys(_NUMBERS, pa.float64()), "throw": pa.string()}
+        ),
     )
 
 
-def _bars(columns: Mapping[str, Float64], name: str) -> Bars:
+def _bars(columns: Mapping[str, Any], name: str) -> Bars:
     _require(columns, ("throw", *BAR_COLUMNS), name)
-    throw = _throws(columns["throw"], name)
-    numbers, first, throw_of_row = np.unique(throw, return_index=True, return_inverse=True)
+    throw = _throws(columns, name)
+    labels, first, throw_of_row = np.unique(throw, return_index=True, return_inverse=True)
     for column in BAR_COLUMNS:
         values, expected = columns[column], columns[column][first][throw_of_row]
         if (differs := np.isfinite(values) & (values != expected)).any():
@@ -85,7 +94,7 @@ def _bars(columns: Mapping[str, Float64], name: str) -> Bars:
                 f"{name}: throw {throw[row]}: {column} is {values[row]:g} and {expected[row]:g}: expected one bar for "
                 f"each throw"
             )
-    return Bars(numbers, *(columns[column][first] for column in BAR_COLUMNS))
+    return Bars(labels, *(columns[column][first] for column in BAR_COLUMNS))
 
 
 def _require(columns: Mapping[str, object], names: Sequence[str], name: str) -> None:
@@ -96,9 +105,17 @@ def _require(columns: Mapping[str, object], names: Sequence[str], name: str) -> 
         )
 
 
-def _throws(column: Float64, name: str) -> Int64:
-    wrong = ~np.isfinite(column) | (column != np.round(column))
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise PuddleError(f"{name}: row {row + 1}: throw is {column[row]:g}, expected a whole number")
-    return column.astype(np.int64)
+def _throws(columns: Mapping[str, Any], name: str) -> Labels:
+    """Return the labels of throws: whole numbers if all are, else text. No double rounds them."""
+    texts = [(text or "").strip() for text in columns["throw"].to_pylist()]
+    whole = {text: _WHOLE.fullmatch(text) for text in set(texts)}
+    for row, text in enumerate(texts):
+        if not whole[text] and _NO_LABEL.fullmatch(text):
+            raise PuddleError(
+                f"{name}: row {row + 1}: throw is {text or 'empty'}, expected a whole number with all its digits, "
+                f"or text"
+            )
+    numbers = {text: int(match[1]) for text, match in whole.items() if match}
+    if len(numbers) == len(whole) and all(abs(number) < 2**63 for number in numbers.values()):
+        return np.array([numbers[text] for text in texts], dtype=np.int64)
+    return np.array([str(numbers.get(text, text)) for text in texts])

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.arrays import Float64, Int64
+from tasks.arrays import Float64, Labels
 from tasks.design import GENES
 from tasks.tracks.conventions import Tracks
 from tasks.tracks.table import TrackError, first, length_scale_of, metres
@@ -20,14 +20,14 @@ class TrackedBarError(TrackError):
 class Bars:
     """The bar of each throw; axis 0 is the throw."""
 
-    throw: Int64
+    throw: Labels
     length: Float64  # long axis, in the file's unit
     width: Float64
     mass: Float64  # [kg]
 
 
-def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
-    """Return the long axis of each throw's bar [m of simulation].
+def length_scales(bars: Bars, tracks: Tracks) -> dict[str, float]:
+    """Return the long axis of each throw's bar [m of simulation], by the throw's label.
 
     Raises:
         TrackedBarError: a bar is not a link of the simulation, or the bars differ in density.
@@ -66,4 +66,4 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
             f"{bars.throw[heavy]} one of {bars.mass[heavy]:g} kg: expected equal masses, because every link has the "
             f"same: ballast the bars"
         )
-    return dict(zip(bars.throw.tolist(), length.tolist(), strict=True))
+    return dict(zip(map(str, bars.throw), length.tolist(), strict=True))

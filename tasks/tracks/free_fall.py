@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.arrays import Bools
+from tasks.arrays import Bools, Labels
 from tasks.residual import MeasuredTransitions
 from tasks.tracks.table import TrackError
 
@@ -30,18 +30,19 @@ class Fall:
     sd: float
 
 
-def check_falls(transitions: MeasuredTransitions, gravity: float, time_step: float) -> Fall:
+def check_falls(transitions: MeasuredTransitions, labels: Labels, gravity: float, time_step: float) -> Fall:
     """Return the fall of bars in air. Raises TrackError if y grows downward, or the waterline, scale or clock is wrong.
 
     Bars that fall below the surface as in air tell a waterline that is too high, because drag and buoyancy both hold up
-    a bar that sinks. One that is too high by less than a bar's length goes unnoticed.
+    a bar that sinks. One that is too high by less than a bar's length goes unnoticed. ``labels`` are those of the
+    transitions' throws.
     """
     a_x, a_y = transitions.residual[:, 3:5].T / time_step
     level = np.abs(a_x) < _OF_FREE_FALL * gravity
     up, down = (level & (np.abs(a_y - gravity + sign * gravity) < _OF_FREE_FALL * gravity) for sign in (-1, 1))
     if up.sum() > max(_MORE_UP * down.sum(), _LEAST_UP * len(up)):
         raise TrackError(
-            f"throw {int(transitions.throw[np.argmax(up)])}, and others: bars fall freely upward: expected them to "
+            f"throw {labels[np.argmax(up)]}, and others: bars fall freely upward: expected them to "
             f"fall down: check tracks.flip_y (does y grow downward, as pixels do?)"
         )
     _, y, _, _, vy, _ = transitions.state.T
@@ -50,10 +51,10 @@ def check_falls(transitions: MeasuredTransitions, gravity: float, time_step: flo
     free = sinks & (np.hypot(a_x, a_y) < _OF_FREE_FALL * gravity)
     if free.sum() > max(_LEAST_FALLING, _LEAST_SHARE_FALLING * sinks.sum()):
         raise TrackError(
-            f"throw {int(transitions.throw[np.argmax(free)])}, and others: bars fall freely below y = 0: expected the "
+            f"throw {labels[np.argmax(free)]}, and others: bars fall freely below y = 0: expected the "
             f"water to hold them up: check that y is 0 at the waterline"
         )
-    _check_speed_ramps(transitions, gravity, time_step)
+    _check_speed_ramps(transitions, labels, gravity, time_step)
     fall = _fall_in_air(transitions, gravity, time_step)
     share = -fall.acceleration / gravity if gravity else 1.0
     if falls_oddly(fall, gravity) and not 1 / _MOST_GRAVITY_OFF < share < _MOST_GRAVITY_OFF:
@@ -71,7 +72,7 @@ def _in_air(transitions: MeasuredTransitions) -> Bools:
     return np.asarray(transitions.state[:, 1] > np.hypot(length, 1 / length) / 2)
 
 
-def _check_speed_ramps(transitions: MeasuredTransitions, gravity: float, time_step: float) -> None:
+def _check_speed_ramps(transitions: MeasuredTransitions, labels: Labels, gravity: float, time_step: float) -> None:
     """Refuse a file in which some throws, or parts of them, fall far faster or slower than the others in air.
 
     Phones export slow motion with ends at normal speed: time is then stretched in parts of a file alone, and the fall
@@ -96,7 +97,7 @@ def _check_speed_ramps(transitions: MeasuredTransitions, gravity: float, time_st
     if is_second_speed and np.mean(np.abs(np.log(others / np.median(others))) < _PIECE_OFF) > _MOSTLY:
         k = int(np.argmax(off))
         raise TrackError(
-            f"throw {int(transitions.throw[pieces[k][0]])}, and others: bars fall at {falls[k]:.2g} m/s² of "
+            f"throw {labels[pieces[k][0]]}, and others: bars fall at {falls[k]:.2g} m/s² of "
             f"simulation in air, and at {usual:.2g} (median) elsewhere in the file: expected one speed of the video "
             f"throughout: export slow motion without its ends at normal speed, or cut them off, and use --slowdown; "
             f"where the speed is right, check that y is 0 at the waterline"

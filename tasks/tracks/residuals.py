@@ -97,12 +97,12 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
     """Check throws, smooth their poses, and compare each step with the base simulator's."""
     of_bars = length_scales(bars, tracks)
     paths = paths_of(table, tracks)
-    if missing := [int(throw) for throw in paths.throw if int(throw) not in of_bars]:
+    if missing := [throw for throw in map(str, paths.throw) if throw not in of_bars]:
         raise TrackedBarError(f"throw {missing[0]} has no bar: give its length, width and mass")
-    long_axes, dt = np.array([of_bars[int(throw)] for throw in paths.throw]), physics.time_step
+    long_axes, dt = np.array([of_bars[throw] for throw in map(str, paths.throw)]), physics.time_step
     n_steps = np.floor(paths.time[:, -1] / dt + 1e-6).astype(int)
     if (n_steps < 1).any():
-        throw = int(paths.throw[int(np.argmin(n_steps))])
+        throw = paths.throw[np.argmin(n_steps)]
         raise TrackError(f"throw {throw} is shorter than a step, {dt:.3g} s of simulation: leave it out")
     step = np.minimum(np.arange(n_steps.max() + 1), n_steps[:, None])
     time = np.minimum(step * dt, paths.time[:, -1:])
@@ -129,7 +129,7 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
         residual_sd=_typical_sd(transitions),
         n_contacts=n_contacts(at),
         n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
-        fall=check_falls(transitions, physics.gravity, dt),
+        fall=check_falls(transitions, paths.throw[np.nonzero(usable)[0]], physics.gravity, dt),
     )
     begins = at.copy()
     begins[:, 0] = True
@@ -229,7 +229,7 @@ def _transitions(
     variance = np.stack([_variance_of_change(coordinate) for coordinate in smoothed], axis=-1)[chosen]
     sd = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
     return MeasuredTransitions(
-        throw=paths.throw[throw],
+        throw=paths.number[throw],
         step=step,
         length_scale=long_axes[throw],
         state=state,

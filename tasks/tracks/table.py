@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.arrays import Bools, Float64, Int64
+from tasks.arrays import Bools, Float64, Int64, Labels
 from tasks.tracks.conventions import Tracks
 from tasks.world import froude_time
 
@@ -29,7 +29,7 @@ class TrackError(ValueError):
 class TrackTable:
     """Rows of a tracks file, in its units and order."""
 
-    throw: Int64  # (n_rows,)
+    throw: Labels  # (n_rows,)
     time: Float64  # (n_rows,) [s]
     x: Float64
     y: Float64  # 0 at the waterline
@@ -43,11 +43,17 @@ class TrackTable:
 class Paths:
     """Throws in units and axes of the simulation, padded to the longest; axis 0 is the throw, axis 1 the frame."""
 
-    throw: Int64  # (n_throws,) numbers in the file
+    throw: Labels  # (n_throws,)
     time: Float64  # (n_throws, n_frames) since the throw's first frame [s]; padding repeats the last
     pose: Float64  # (n_throws, n_frames, 3) x, y [m], angle, unwrapped [rad]; padding repeats the last
     sd: Float64 | None  # (n_throws, n_frames, 3) deviations of the measurements
     seen: Bools  # (n_throws, n_frames) False in padding
+
+    @property
+    def number(self) -> Int64:
+        """(n_throws,) numbers in data sets, which are the labels if those are numbers from 0 on."""
+        numbers = np.arange(len(self.throw))
+        return self.throw if np.issubdtype(self.throw.dtype, np.integer) and self.throw[0] >= 0 else numbers
 
 
 def first(wrong: Bools) -> int | None:
@@ -81,12 +87,12 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
             bar makes.
     """
     _check_finite(table)
-    numbers = np.unique(table.throw)
-    if len(numbers) < 2:
-        raise TrackError(f"{len(numbers)} throws, expected at least 2: networks are tested on throws that are held out")
-    rows = [np.flatnonzero(table.throw == number) for number in numbers]
-    for number, throw_rows in zip(numbers, rows, strict=True):
-        _check_times(int(number), table.time[throw_rows])
+    labels = np.unique(table.throw)
+    if len(labels) < 2:
+        raise TrackError(f"{len(labels)} throws, expected at least 2: networks are tested on throws that are held out")
+    rows = [np.flatnonzero(table.throw == label) for label in labels]
+    for label, throw_rows in zip(labels, rows, strict=True):
+        _check_times(str(label), table.time[throw_rows])
     n_frames = max(map(len, rows))
     last = np.array([len(throw_rows) - 1 for throw_rows in rows])
     frame = np.minimum(np.arange(n_frames), last[:, None])
@@ -100,7 +106,7 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     stated = [deviation for deviation in given if deviation is not None]
     sd = np.stack(stated, axis=1)[at] * scale if len(stated) == len(given) else None
     time = (table.time[at] - table.time[at[:, :1]]) / time_scale_of(tracks)
-    paths = Paths(numbers, time, pose, sd, np.arange(n_frames) <= last[:, None])
+    paths = Paths(labels, time, pose, sd, np.arange(n_frames) <= last[:, None])
     _check_jumps(paths, tracks)
     _check_angles(table, tracks)
     return paths
@@ -114,7 +120,7 @@ def _check_finite(table: TrackTable) -> None:
         is_deviation = name.endswith("_sd")
         wrong = ~np.isfinite(values) | ((values <= 0) if is_deviation else False)
         if (row := first(wrong)) is not None:
-            throw = int(table.throw[row])
+            throw = table.throw[row]
             frame = int(np.count_nonzero(table.throw[:row] == throw))
             expected = "a number above 0" if is_deviation else "a number"
             raise TrackError(
@@ -123,7 +129,7 @@ def _check_finite(table: TrackTable) -> None:
             )
 
 
-def _check_times(throw: int, time: Float64) -> None:
+def _check_times(throw: str, time: Float64) -> None:
     if len(time) < MIN_FRAMES:
         raise TrackError(
             f"throw {throw} has {len(time)} frame{'s' * (len(time) != 1)}, expected at least {MIN_FRAMES}: leave the "

@@ -35,11 +35,13 @@ def test_deviations_and_bars_may_be_columns() -> None:
         (b"throw,time,x,y,angle\n", "a.csv: expected a row for each frame, got none"),
         (b"a,b\n1,0\n", "a.csv: expected the columns throw, time, x, .* got a, b, without .*docs/your-own-tank.md"),
         (b"throw;time;x;y;angle\n1;0;0;0;0\n", "a.csv: expected the columns .* got throw;time;x;y;angle, without"),
-        (b"throw,time,x,y,angle\n1_0,0,0,0,0\n", "a.csv: .*column #0: Row #2: .*'1_0'"),
+        (b"throw,time,x,y,angle\n1,1_0,0,0,0\n", "a.csv: .*column #1: Row #2: .*'1_0'"),
         (b"throw,time,x,y\n1,0,0,0\n", "a.csv: expected the columns .*, without angle"),
         (b"throw,time,x,x,y,angle\n1,0,0,0,0,0\n", 'a.csv: .*Field "x" exists 2 times'),
         (b"throw,time,x,y,angle\n1,0,0,0\n", "a.csv: .*Row #2: Expected 5 columns, got 4"),
         (b"throw,time,x,y,angle\n1.5,0,0,0,0\n", "a.csv: row 1: throw is 1.5, expected a whole number"),
+        (b"throw,time,x,y,angle\na,0,0,0,0\n,0,0,0,0\n", "a.csv: row 2: throw is empty, expected"),
+        (b"throw,time,x,y,angle\n2.02611E+16,0,0,0,0\n", r"throw is 2.02611E\+16, expected .* all its digits"),
         (b"throw,time,x,y,angle,x_sd\n1,0,0,0,0,1\n", "a.csv: expected the columns .*, without y_sd, angle_sd"),
         ("throw,time,x,y,angle\n1,0,0,0,0\n".encode("utf-16"), "a.csv: expected"),
         (b"PAR1 and no more", "a.csv: expected CSV .* or Parquet"),
@@ -48,6 +50,40 @@ def test_deviations_and_bars_may_be_columns() -> None:
 def test_what_is_refused(content: bytes, message: str) -> None:
     with pytest.raises(PuddleError, match=message):
         read_track_table(content, "a.csv")
+
+
+STAMP = 20261128103632000  # 17 digits; doubles are 4 apart there
+
+
+@pytest.mark.parametrize(
+    ("labels", "read"),
+    [
+        (["3.0", " 10", "+4"], [3, 10, 4]),
+        ([STAMP, STAMP + 1, STAMP + 2], [STAMP, STAMP + 1, STAMP + 2]),
+        (["trial_01", "trial_1", "2026-11-28T10:36:32"], ["trial_01", "trial_1", "2026-11-28T10:36:32"]),
+        (["7", "b"], ["7", "b"]),
+        ([10**19, 10**19 + 1], [str(10**19), str(10**19 + 1)]),
+    ],
+)
+def test_throws_are_labels_that_are_compared_exactly(labels, read) -> None:
+    header, row = b"throw,time,x,y,angle,length,width,mass\n", ",0,0,0,0,0.07,0.07,0.1\n"
+    table, bars = read_track_table(header + "".join(f"{label}{row}" for label in labels).encode(), "a.csv")
+    assert table.throw.tolist() == read and sorted(bars.throw.tolist()) == sorted(read)
+
+
+def test_throws_of_parquet_are_exact_or_refused() -> None:
+    columns = {name: pa.array([0.0, 0.0]) for name in ("time", "x", "y", "angle")}
+
+    def read(throw: pa.Array):
+        sink = pa.BufferOutputStream()
+        pq.write_table(pa.table(columns | {"throw": throw}), sink)
+        return read_track_table(bytes(sink.getvalue()), "a.parquet")[0].throw.tolist()
+
+    assert read(pa.array([STAMP, STAMP + 1])) == [STAMP, STAMP + 1]
+    assert read(pa.array([3.0, 4.0])) == [3, 4]
+    assert read(pa.array(["a", "b"]).dictionary_encode()) == ["a", "b"]
+    with pytest.raises(PuddleError, match=r"throw is 2\.02\d+e\+16, expected a whole number with all its digits"):
+        read(pa.array([float(STAMP), STAMP + 4.0]))
 
 
 def test_bars_that_change_within_a_throw_are_refused() -> None:

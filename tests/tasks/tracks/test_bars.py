@@ -14,11 +14,11 @@ PLAIN = Tracks(file="tracks.csv")
 
 
 def test_a_link_has_an_area_of_a_square_metre() -> None:
-    assert length_scales(BARS, PLAIN) == pytest.approx({3: 1.0, 7: 2.0})
+    assert length_scales(BARS, PLAIN) == pytest.approx({"3": 1.0, "7": 2.0})
     in_mm = replace(BARS, length=1000 * BARS.length, width=1000 * BARS.width)
-    assert length_scales(in_mm, Tracks(file="tracks.csv", length_unit="mm")) == pytest.approx({3: 1.0, 7: 2.0})
+    assert length_scales(in_mm, Tracks(file="tracks.csv", length_unit="mm")) == pytest.approx({"3": 1.0, "7": 2.0})
     unscaled = replace(BARS, length=np.array([1.0, 2.0]), width=np.array([1.0, 0.5]))
-    assert length_scales(unscaled, Tracks(file="tracks.csv", scaling="none")) == pytest.approx({3: 1.0, 7: 2.0})
+    assert length_scales(unscaled, Tracks(file="tracks.csv", scaling="none")) == pytest.approx({"3": 1.0, "7": 2.0})
 
 
 @pytest.mark.parametrize(

@@ -29,10 +29,12 @@ def test_bars_that_fall_too_fast_or_too_slowly_are_refused(factor: float) -> Non
     residual[:, 4] += (gravity - PHYSICS.gravity) * PHYSICS.time_step
     fallen = replace(plain, residual=residual)
     if factor == 1.2:
-        assert check_falls(fallen, gravity, PHYSICS.time_step).acceleration == pytest.approx(-9.8, abs=0.01)
+        assert check_falls(fallen, fallen.throw, gravity, PHYSICS.time_step).acceleration == pytest.approx(
+            -9.8, abs=0.01
+        )
         return
     with pytest.raises(TrackError, match=r"bars above the water fall at 9\.8 ± .* expected"):
-        check_falls(fallen, gravity, PHYSICS.time_step)
+        check_falls(fallen, fallen.throw, gravity, PHYSICS.time_step)
 
 
 @pytest.mark.parametrize("rise", [-1.0, -0.5, 0.0, 0.5, 1.5, 3.0])
@@ -45,10 +47,10 @@ def test_a_waterline_that_is_wrong_by_a_bars_length_is_refused(rise: float) -> N
     columns = {**exact.columns(), "state": state}
     moved = MeasuredTransitions(**columns, residual_sd=np.full_like(exact.residual, 1e-3))
     if abs(rise) < 1:
-        check_falls(moved, PHYSICS.gravity, PHYSICS.time_step)
+        check_falls(moved, moved.throw, PHYSICS.gravity, PHYSICS.time_step)
         return
     with pytest.raises(TrackError, match=r"check that y is 0 at the waterline"):
-        check_falls(moved, PHYSICS.gravity, PHYSICS.time_step)
+        check_falls(moved, moved.throw, PHYSICS.gravity, PHYSICS.time_step)
 
 
 @pytest.mark.parametrize(("slow", "within"), [(1.0, True), (2.0, True), (2.0, False), (4.0, False)])

@@ -67,6 +67,16 @@ def test_rows_of_throws_may_alternate(table: TrackTable) -> None:
     np.testing.assert_array_equal(paths_of(only(table, order), PLAIN).pose, paths_of(table, PLAIN).pose)
 
 
+def test_throws_may_have_names_and_numbers_below_zero(table: TrackTable) -> None:
+    paths = paths_of(replace(table, throw=np.array(["d", "c", "b", "a"])[table.throw]), PLAIN)
+    assert paths.throw.tolist() == ["a", "b", "c", "d"] and paths.number.tolist() == [0, 1, 2, 3]
+    assert paths_of(replace(table, throw=table.throw - 1), PLAIN).number.tolist() == [0, 1, 2, 3]
+    assert paths_of(replace(table, throw=table.throw + 5), PLAIN).number.tolist() == [5, 6, 7, 8]
+    with pytest.raises(TrackError, match="throw b, frame 3: x is nan"):
+        wrong = one_frame("x", np.nan)(table)
+        paths_of(replace(wrong, throw=np.array(["a", "b", "c", "d"])[table.throw]), PLAIN)
+
+
 def frame(table: TrackTable, throw: int, number: int) -> int:
     return int(np.flatnonzero(table.throw == throw)[number])
 
