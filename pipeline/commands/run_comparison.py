@@ -21,7 +21,7 @@ from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk
 from pipeline.store.design_file import read_design
 from pipeline.store.encoding import decode_document
-from pipeline.store.track_file import read_track_table
+from pipeline.store.track_file import content_of, read_track_table
 from pipeline.vision.markers_file import Markers
 from pipeline.vision.track_video import TrackOptions, follow
 from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, compare_with_simulation
@@ -116,7 +116,7 @@ def read_kit(folder: Path) -> BuiltRobot:
 
 def _link_paths(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
     """Return the path of each link, and lines for the terminal."""
-    if source.path.suffix in (".csv", ".parquet"):
+    if source.path.suffix in (".csv", ".parquet", ".gz"):
         return _read_tracks(source.path), []
     if source.markers is None:
         raise PuddleError(
@@ -128,7 +128,7 @@ def _link_paths(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
 
 
 def _read_tracks(path: Path) -> dict[int, LinkPath]:
-    rows, _ = read_track_table(path.read_bytes(), str(path))
+    rows, _ = read_track_table(content_of(path), str(path))
     table = np.column_stack((rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
         raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")

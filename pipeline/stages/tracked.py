@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import digest, encode_json
-from pipeline.store.track_file import read_bars, read_track_table
+from pipeline.store.track_file import content_of, read_bars, read_track_table
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Inputs, OutsideFile
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable
@@ -48,7 +48,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
     if tracks is None or tracks.sha256 is not None:
         return settings
     path = Path(tracks.file).expanduser().resolve()
-    content = path.read_bytes()
+    content = content_of(path)
     table, bars_beside = read_track_table(content, str(path))
     numbers = set(table.throw.tolist())
     bars_path = _bars_path(tracks, path, in_rows=bars_beside is not None)
@@ -58,7 +58,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
                 "file": str(path),
                 "bars": None if bars_path is None else str(bars_path),
                 "sha256": digest(content),
-                "bars_sha256": None if bars_path is None else digest(bars_path.read_bytes()),
+                "bars_sha256": None if bars_path is None else digest(content_of(bars_path)),
             }
         ),
         "throws": settings.throws.model_copy(update={"source": "tracks", "n_throws": max(len(numbers), 2)}),
@@ -75,8 +75,8 @@ def _bars_path(tracks: Tracks, path: Path, *, in_rows: bool) -> Path | None:
         return Path(tracks.bars).expanduser().resolve()
     if in_rows:
         return None
-    beside = path.with_name(f"{path.stem}-bars.csv")
-    if not beside.is_file():
+    of_csv, of_file = (path.with_name(f"{stem}-bars.csv") for stem in (path.stem.removesuffix(".csv"), path.stem))
+    if not (beside := of_file if of_file.is_file() else of_csv).is_file():  # of a.csv.gz also a.csv-bars.csv
         raise PuddleError(
             f"{path}: expected the columns length, width and mass of the bars, or a file {beside.name} beside it: give "
             f"each throw's bar, or name the file (tracks.bars)"

@@ -1,20 +1,23 @@
 """Tracks files: tracked throws of bars as CSV or Parquet, and the bars, in the same file or one of their own.
 
-Nothing is guessed: docs/your-own-tank.md converts the files of other programs.
+CSV may be as spreadsheets write it. Nothing is guessed: docs/your-own-tank.md converts the files of other programs.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
 from pipeline.store.design_file import read_parquet
+from pipeline.store.file_kinds import decode, decompress, refuse_programs
 from tasks.arrays import Labels
 from tasks.tracks import Bars, TrackTable
 
@@ -24,6 +27,27 @@ BAR_COLUMNS = ("length", "width", "mass")
 _WHOLE = re.compile(r"([+-]?\d+)(\.0*)?")
 _NO_LABEL = re.compile(r"(nan|[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?)?", re.IGNORECASE)  # digits are lost, or empty
 _NUMBERS = (*TRACK_COLUMNS[1:], *DEVIATION_COLUMNS, *BAR_COLUMNS)
+
+
+def content_of(path: Path) -> bytes:
+    """Return what a tracks file holds, decompressed; of a folder of Parquet parts, the CSV of all their rows.
+
+    CSV, because its bytes are the same under every version of pyarrow.
+
+    Raises:
+        PuddleError: it is damaged, or the folder is no table in parts.
+    """
+    try:
+        if not path.is_dir():
+            return decompress(path.read_bytes(), str(path))
+        table = pq.read_table(path, use_threads=False, pre_buffer=False)
+        known = [column for column in table.column_names if column in ("throw", *_NUMBERS)]
+        if not known:
+            _require(table.column_names, TRACK_COLUMNS, str(path))
+        pa.csv.write_csv(table.select(known), csv := pa.BufferOutputStream())
+        return bytes(csv.getvalue())
+    except pa.ArrowException as error:
+        raise PuddleError(f"{path}: expected a folder of Parquet parts, got: {error}") from None
 
 
 def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None]:
@@ -36,9 +60,9 @@ def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None
     Raises:
         PuddleError: it is neither, or a column or a cell is missing or not what it should be; the message names it.
     """
-    columns = _read_columns(content, name)
-    has_deviations = any(column in columns for column in DEVIATION_COLUMNS)
-    _require(columns, (*TRACK_COLUMNS, *(DEVIATION_COLUMNS if has_deviations else ())), name)
+    columns = _read_columns(content, name, TRACK_COLUMNS)
+    if any(column in columns for column in DEVIATION_COLUMNS):
+        _require(columns, DEVIATION_COLUMNS, name)
     table = TrackTable(
         _throws(columns, name),
         *(columns[column] for column in TRACK_COLUMNS[1:]),
@@ -49,41 +73,46 @@ def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None
 
 def read_bars(content: bytes, name: str) -> Bars:
     """Return the bar of each throw in a file; raise PuddleError as above, or if a throw has several bars."""
-    return _bars(_read_columns(content, name), name)
+    return _bars(_read_columns(content, name, ("throw", *BAR_COLUMNS)), name)
 
 
-def _read_columns(content: bytes, name: str) -> Mapping[str, Any]:
+def _read_columns(content: bytes, name: str, needed: Sequence[str]) -> Mapping[str, Any]:
     """Return the known columns: numbers as arrays, throws as Arrow's column of text."""
     try:
-        table = read_parquet(content) if content[:4] == b"PAR1" else _read_csv(content)
+        table = read_parquet(content) if content[:4] == b"PAR1" else _read_csv(decode(content, name), name)
+        _require(table.column_names, needed, name)
         columns: dict[str, Any] = {
             column: table[column].cast(pa.float64()).to_numpy() for column in table.column_names if column in _NUMBERS
         }
-        if "throw" in table.column_names:
-            columns["throw"] = table["throw"].cast(pa.string())
+        columns["throw"] = table["throw"].cast(pa.string())
     except (pa.ArrowException, KeyError, OSError) as error:  # KeyError: a column appears twice
-        raise PuddleError(f"{name}: expected CSV (UTF-8) or Parquet with a row for each frame: {error}") from None
+        raise PuddleError(f"{name}: expected CSV or Parquet with a row for each frame: {error}") from None
     if not len(table):
         raise PuddleError(f"{name}: expected a row for each frame, got none")
-    if not columns:
-        _require(dict.fromkeys(table.column_names), TRACK_COLUMNS, name)
     return columns
 
 
-def _read_csv(content: bytes) -> pa.Table:
-    heading, _, rows = content.partition(b"\n")
-    heading = b",".join(column.strip() for column in heading.split(b","))
+def _read_csv(text: str, name: str) -> pa.Table:
+    """Read a table whose separator is the one that its first line names (`sep=;`), or that its heading has."""
+    text = re.sub(r'^[,;\t "]*(\n|$)', "", text, flags=re.MULTILINE)  # a spreadsheet's rows without a cell
+    named = re.match(r'"?sep=(.).*\n', text)
+    heading, _, rows = text[named.end() if named else 0 :].partition("\n")
+    separator = named[1] if named else max(",;\t", key=heading.count)
+    names = [column.strip() for column in heading.split(separator)]
+    if "throw" not in names:
+        refuse_programs(text, name, ", ".join(TRACK_COLUMNS))
     return pa.csv.read_csv(
-        pa.BufferReader(heading + b"\n" + rows),
+        pa.BufferReader((separator.join(names) + "\n" + rows).encode()),
         pa.csv.ReadOptions(use_threads=False),  # a message then names the row
-        convert_options=pa.csv.ConvertOptions(
-            column_types={**dict.fromkeys(_NUMBERS, pa.float64()), "throw": pa.string()}
+        pa.csv.ParseOptions(delimiter=separator),
+        pa.csv.ConvertOptions(
+            column_types={**dict.fromkeys(_NUMBERS, pa.float64()), "throw": pa.string()},
+            decimal_point="," if separator != "," and re.search(r"\d,\d", rows) else ".",
         ),
     )
 
 
 def _bars(columns: Mapping[str, Any], name: str) -> Bars:
-    _require(columns, ("throw", *BAR_COLUMNS), name)
     throw = _throws(columns, name)
     labels, first, throw_of_row = np.unique(throw, return_index=True, return_inverse=True)
     for column in BAR_COLUMNS:
@@ -97,10 +126,10 @@ def _bars(columns: Mapping[str, Any], name: str) -> Bars:
     return Bars(labels, *(columns[column][first] for column in BAR_COLUMNS))
 
 
-def _require(columns: Mapping[str, object], names: Sequence[str], name: str) -> None:
+def _require(columns: Collection[str], names: Sequence[str], name: str) -> None:
     if missing := [column for column in names if column not in columns]:
         raise PuddleError(
-            f"{name}: expected the columns {', '.join(names)}, got {', '.join(columns)[:80]}, without "
+            f"{name}: expected the columns {', '.join(names)}, got {', '.join(columns)[:80] or 'none'}, without "
             f"{', '.join(missing)}. docs/your-own-tank.md converts files of other programs."
         )
 

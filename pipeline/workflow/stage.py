@@ -19,6 +19,7 @@ from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
+from pipeline.store.track_file import content_of
 from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId, to_json
 
@@ -107,7 +108,7 @@ class OutsideFile:
             PuddleError: it has changed.
         """
         path = Path(self.path)
-        content = path.read_bytes()
+        content = content_of(path)
         if (found := digest(content)) != self.digest:
             raise PuddleError(
                 f"{path}: expected the file with the SHA-256 {self.digest[:12]}…, got {found[:12]}…: it has changed "

@@ -1,11 +1,17 @@
 """Tracks files: what is read of CSV and Parquet, and what is refused."""
 
+import bz2
+import gzip
+import io
+import zipfile
+from pathlib import Path
+
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.store.track_file import read_bars, read_track_table
+from pipeline.store.track_file import content_of, read_bars, read_track_table
 
 CSV = b"\xef\xbb\xbfthrow, time ,x,y,angle,note\n3,0,0.1,-0.2,0.5,a\n\n3,0.5,0.2,-0.3,0.6,b\n"
 
@@ -18,6 +24,75 @@ def test_csv_and_parquet_give_the_same_columns() -> None:
         read, bars = read_track_table(content, name)
         assert {column: getattr(read, column).tolist() for column in columns} == columns
         assert read.x_sd is None and bars is None
+
+
+PLAIN = "throw,time,x,y,angle\n" + "".join(f"1,0.{i},-{i}.25,0.5,0.{i}\n" for i in range(4))
+GERMAN = PLAIN.replace(",", ";").replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        PLAIN.replace("\n", "\r\n"),
+        PLAIN.replace("\n", "\r"),
+        PLAIN.replace(",", ";"),
+        GERMAN,
+        PLAIN.replace(",", "\t"),
+        f"sep=,\n{PLAIN}",
+        f'"sep=;"\r\n{GERMAN}',
+        f",,,,\n\n{PLAIN},,,,\n , ,,,\n\n",
+        f'{PLAIN}"","","","",""',
+        PLAIN.replace("\n1", "\n,,,,\n1", 2),
+        PLAIN.replace("\n", ",,\n"),
+        PLAIN.replace(",", "\t").encode("utf-16"),
+        PLAIN.replace("\n", ",1\n").replace("angle,1", "angle,Neigung [°]").encode("cp1252"),
+    ],
+)
+def test_tables_of_spreadsheets_are_read(content: str | bytes) -> None:
+    read, _ = read_track_table(content if isinstance(content, bytes) else content.encode(), "a.csv")
+    assert (read.throw.tolist(), read.time.tolist()) == ([1] * 4, [0, 0.1, 0.2, 0.3])
+    assert (read.x.tolist(), read.y.tolist()) == ([-0.25, -1.25, -2.25, -3.25], [0.5] * 4)
+    assert read.angle.tolist() == read.time.tolist()
+
+
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
+def test_compressed_files_are_read(compress, tmp_path: Path) -> None:
+    (path := tmp_path / "a.csv.gz").write_bytes(compress(PLAIN.encode()))
+    assert content_of(path) == PLAIN.encode()
+    path.write_bytes(compress(PLAIN.encode())[:-9])
+    with pytest.raises(PuddleError, match=r"a\.csv\.gz: expected a whole file"):
+        content_of(path)
+
+
+def test_a_folder_of_parquet_parts_is_one_table(tmp_path: Path) -> None:
+    columns = {
+        "throw": [1, 1, 2],
+        "time": [0, 0.1, 0],
+        "x": [1e-17, 1 / 3, 2e22],
+        "y": [0, 1, 2],
+        "angle": [None, 1, 2],
+    }
+    table = pa.table(columns | {"tags": [["a"], [], []]})
+    pq.write_to_dataset(table, tmp_path / "by_throw", partition_cols=["throw"])
+    (tmp_path / "in_order").mkdir()
+    for part in (0, 1):
+        pq.write_table(table.slice(2 * part, 2), tmp_path / "in_order" / f"part.{part}.parquet")
+    for folder in ("by_throw", "in_order"):
+        read, _ = read_track_table(content_of(tmp_path / folder), folder)
+        assert (read.throw.tolist(), read.x.tolist()) == (columns["throw"], columns["x"])
+    for name, message in (("none", "got none, without throw"), ("text", "expected a folder of Parquet parts")):
+        (tmp_path / name).mkdir()
+        if name == "text":
+            (tmp_path / name / "a.csv").write_text(PLAIN)
+        with pytest.raises(PuddleError, match=message):
+            content_of(tmp_path / name)
+
+
+def zipped(*names: str) -> bytes:
+    with zipfile.ZipFile(content := io.BytesIO(), "w", zipfile.ZIP_DEFLATED) as file:
+        for name in names:
+            file.writestr(name, PLAIN)
+    return content.getvalue()
 
 
 def test_deviations_and_bars_may_be_columns() -> None:
@@ -34,7 +109,9 @@ def test_deviations_and_bars_may_be_columns() -> None:
         (b"", "a.csv: expected CSV .*Empty CSV file"),
         (b"throw,time,x,y,angle\n", "a.csv: expected a row for each frame, got none"),
         (b"a,b\n1,0\n", "a.csv: expected the columns throw, time, x, .* got a, b, without .*docs/your-own-tank.md"),
-        (b"throw;time;x;y;angle\n1;0;0;0;0\n", "a.csv: expected the columns .* got throw;time;x;y;angle, without"),
+        (b"Throw;time;x;y;angle\n1;0;0;0;0\n", "a.csv: expected the columns .* got Throw, time, x, y, angle, without"),
+        (b"throw;time;x;y;angle\n1;0;0,5;0.5;0\n", "a.csv: .*Row #2: .*'0.5'"),
+        ("throw,time,x,y,Neigung [°]\n".encode("cp1252"), r"got throw, time, x, y, Neigung \[°\], without angle"),
         (b"throw,time,x,y,angle\n1,1_0,0,0,0\n", "a.csv: .*column #1: Row #2: .*'1_0'"),
         (b"throw,time,x,y\n1,0,0,0\n", "a.csv: expected the columns .*, without angle"),
         (b"throw,time,x,x,y,angle\n1,0,0,0,0,0\n", 'a.csv: .*Field "x" exists 2 times'),
@@ -43,8 +120,22 @@ def test_deviations_and_bars_may_be_columns() -> None:
         (b"throw,time,x,y,angle\na,0,0,0,0\n,0,0,0,0\n", "a.csv: row 2: throw is empty, expected"),
         (b"throw,time,x,y,angle\n2.02611E+16,0,0,0,0\n", r"throw is 2.02611E\+16, expected .* all its digits"),
         (b"throw,time,x,y,angle,x_sd\n1,0,0,0,0,1\n", "a.csv: expected the columns .*, without y_sd, angle_sd"),
-        ("throw,time,x,y,angle\n1,0,0,0,0\n".encode("utf-16"), "a.csv: expected"),
-        (b"PAR1 and no more", "a.csv: expected CSV .* or Parquet"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(20), "a.csv: .*got HDF5, as DeepLabCut and SLEAP write it: export CSV"),
+        (zipped("docProps/app.xml", "xl/worksheets/sheet1.xml"), "a.csv: .*got a workbook: save its sheet as CSV"),
+        (zipped("tank.csv"), "a.csv: .*got a ZIP archive: unpack it"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(20), "a.csv: .*got an old workbook"),
+        (b"\n<html><table><tr><td>throw</td></tr></table></html>", "a.csv: .*got HTML or XML: open it in a spreads"),
+        (b"\0\0\0\x18ftypmp42", "a.csv: .*got a video: `puddle track`"),
+        (b'{"throw": [1]}', "a.csv: .*got JSON"),
+        (b"\x80\x04\x95\0\0", "a.csv: .*got a binary file"),
+        (b"scorer,net,net\nbodyparts,a,a\ncoords,x,y\n0,1,2\n", "as DeepLabCut writes it: .* throw, time, x, y, angle"),
+        (b"track,frame_idx,instance.score,a.x,a.y,a.score\n,0,1,1,2,1\n", "as SLEAP writes it: .* from two points"),
+        (b"Format Version,1.25,Take Name,a\n\n,Type,Rigid Body\n", "as Motive writes it: .* position and rotation"),
+        (b"\n\nTrajectories\n240\n,,a:b,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n", "as Vicon writes it: .* two markers"),
+        (b"Segments,,\n100,,\n", "as Vicon writes it"),
+        (b"\tmass A\t\nt\tx\ty\n0\t1\t2\n", "as Tracker writes it: expected the columns throw"),
+        (b"t (s)\tx (m)\ty (m)\n0\t1\t2\n", "as Tracker writes it"),
+        (b"PAR1 and no more", "a.csv: expected CSV or Parquet .*: Parquet magic bytes"),
     ],
 )
 def test_what_is_refused(content: bytes, message: str) -> None:
