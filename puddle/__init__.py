@@ -5,17 +5,22 @@ Designs, environments and the simulator, as arrays in memory::
     designs = puddle.random_designs(64, np.random.default_rng(seed=1))
     puddle.simulate(designs, puddle.TrueSlush(depth=9.0)).displacement
 
-and what `puddle study` has recorded in a store::
+studies, run here or by `puddle study`, as a store records them::
 
-    study = puddle.open_study("laptop", store="store")
+    study = puddle.run_study("smoke", grid={"depths": [9.0]})
     study.champions().to_pandas()
     study.table("histories", environment="true_slush", depth=9.0, trial=0)
+
+and networks that learn a medium from throws, without a study::
+
+    ensemble = puddle.learn(puddle.throw("true_slush"))
 
 Mistakes in arguments, and damage to a store, raise :class:`PuddleError`.
 """
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import sys
 import warnings
@@ -35,15 +40,29 @@ for _package in (pipeline, tasks):
 
 from pipeline.errors import PuddleError
 from tasks.design import GENES, Designs, crossover, mutate, random_designs
+from tasks.residual import Architecture, DesignedThrows, Throws, Training
+from tasks.residual.throws import throw
 from tasks.simulation import simulate
 from tasks.world import DryLand, LinkStates, Physics, Pool, RandomisedSlush, ResidualSlush, TrueSlush, VelocityChange
 
 if TYPE_CHECKING:
     from pipeline.results.film import film
     from pipeline.results.recorded_study import Study
+    from pipeline.results.run_study import run_study
+    from pipeline.store.design_file import load_design, open_designs, save_design
+    from tasks.residual.training import learn
+
+_LATER = {  # modules that import what reads studies, draws or trains, which takes seconds
+    "film": "pipeline.results.film",
+    "learn": "tasks.residual.training",
+    "run_study": "pipeline.results.run_study",
+    **dict.fromkeys(("load_design", "open_designs", "save_design"), "pipeline.store.design_file"),
+}
 
 __all__ = [
     "GENES",
+    "Architecture",
+    "DesignedThrows",
     "Designs",
     "DryLand",
     "LinkStates",
@@ -52,17 +71,22 @@ __all__ = [
     "PuddleError",
     "RandomisedSlush",
     "ResidualSlush",
+    "Throws",
+    "Training",
     "TrueSlush",
     "VelocityChange",
     "crossover",
     "film",
+    "learn",
     "load_design",
     "mutate",
     "open_designs",
     "open_study",
     "random_designs",
+    "run_study",
     "save_design",
     "simulate",
+    "throw",
 ]
 
 __version__ = importlib.metadata.version("puddle")
@@ -81,30 +105,11 @@ def open_study(name: str, store: str | Path = "store") -> Study:
     return recorded_study.open_study(name, store, say=partial(warnings.warn, stacklevel=3))
 
 
-def load_design(path: str | Path) -> Designs:
-    """Read a design file, such as those of `puddle export`; raise PuddleError if it is none."""
-    from pipeline.store.design_file import read_design
-
-    return read_design(Path(path))
-
-
-def open_designs(path: str | Path) -> Designs:
-    """Read the designs of a table, such as docs/champions.parquet; raise PuddleError if it holds none."""
-    from pipeline.store.design_file import read_designs
-
-    return read_designs(Path(path))
-
-
-def save_design(design: Designs, path: str | Path) -> None:
-    """Write one design to a file that every command takes; raise PuddleError if it is not one valid design."""
-    from pipeline.store.design_file import write_design
-
-    write_design(design, Path(path))
+def __dir__() -> list[str]:
+    return sorted(["__doc__", "__version__", *__all__])
 
 
 def __getattr__(name: str) -> Any:
-    if name == "film":
-        from pipeline.results.film import film  # imports what draws, which takes a second
-
-        return film
+    if name in _LATER:
+        return getattr(importlib.import_module(_LATER[name]), name)
     raise AttributeError(f"module 'puddle' has no attribute {name!r}")

@@ -1,5 +1,6 @@
-"""Type aliases of NumPy arrays."""
+"""Type aliases of NumPy arrays, and how dataclasses of arrays are shown."""
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,3 +13,15 @@ Int64 = npt.NDArray[np.int64]
 Ints = npt.NDArray[np.integer]
 Labels = npt.NDArray[Any]  # whole numbers or text
 Bools = npt.NDArray[np.bool_]
+
+
+class ArrayData:
+    """Base of dataclasses of arrays, which are shown by name and shape: their numbers would fill the screen."""
+
+    def __repr__(self) -> str:
+        names: dict[tuple[int, ...], list[str]] = {}
+        for field in fields(self):  # type: ignore[arg-type]
+            if (value := getattr(self, field.name)) is not None:
+                names.setdefault(np.shape(value), []).append(field.name)
+        shown = "; ".join(f"{', '.join(of_shape)} {shape}" for shape, of_shape in names.items())
+        return f"{type(self).__name__}({shown})"

@@ -19,7 +19,7 @@ from pipeline.report.render import as_text
 from pipeline.report.run_page import render_run, verdict
 from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk
-from pipeline.store.design_file import read_design
+from pipeline.store.design_file import load_design
 from pipeline.store.encoding import decode_document
 from pipeline.store.track_file import content_of, read_track_table
 from pipeline.vision.markers_file import Markers
@@ -104,7 +104,7 @@ def read_kit(folder: Path) -> BuiltRobot:
     target = ENVIRONMENTS[simulated.get("environment", PAPERS_TARGET)]
     return BuiltRobot(
         name=str(document["name"]),
-        design=read_design(folder / "design.json"),
+        design=load_design(folder / "design.json"),
         scale=scale,
         time_scale=time_scale,
         environment=target.environment(simulated["depth"], simulated["media"]),

@@ -16,7 +16,7 @@ from pipeline.stages.collect import COLLECT
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_ids
 from pipeline.stages.replays import replay_in
 from pipeline.stages.train import TRAIN
-from pipeline.store.design_file import read_design, read_designs
+from pipeline.store.design_file import load_design, open_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of
@@ -46,7 +46,7 @@ def simulate_design(
 
     In an ensemble the median member is shown.
     """
-    settings, design = options.settings(), read_design(path)
+    settings, design = options.settings(), load_design(path)
     name = _checked(settings, environment, depth)
     kind = "" if out is None else output_suffix(out, (*RENDERERS, _PAGE))
     networks: _Networks = {}
@@ -116,7 +116,7 @@ def score_designs(
     name = _checked(settings, environment, depth)
     if out is not None:
         output_suffix(out, (".parquet", ".csv"))
-    designs = read_designs(path)
+    designs = open_designs(path)
     networks = _required_networks(options, settings, name) if environment_kind(name).learned else {}
     simulation = environments.simulation_spec(settings, name)
     at = environments.build_environment(simulation.media, name, depth, networks)

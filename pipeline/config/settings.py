@@ -237,6 +237,9 @@ class Settings(Parameters):
     work: WorkSettings = WorkSettings()
     """How the work is divided."""
 
+    def __repr__(self) -> str:
+        return "\n".join(["Settings(", *(f"    {name}={value!r}," for name, value in self.__repr_args__()), ")"])
+
     @model_validator(mode="after")
     def _target_is_an_arm(self) -> Self:
         if self.target != PAPERS_TARGET and "environments" not in self.grid.model_fields_set:

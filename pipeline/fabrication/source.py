@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import Study
-from pipeline.store.design_file import read_design
+from pipeline.store.design_file import load_design
 from pipeline.workflow.stage import MissingInputs
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
@@ -45,7 +45,7 @@ def from_file(path: Path, settings: Settings) -> DesignSource:
     """Read a design file, to be simulated with some settings. Raises PuddleError if it is invalid."""
     where = f"{settings.target_label} at {_PHYSICAL_DEPTH:g} m"
     origin = f"Design file {path.name}, simulated in {where} with the settings of {settings.name}."
-    return DesignSource(read_design(path), path.stem, origin, settings, _PHYSICAL_DEPTH, None)
+    return DesignSource(load_design(path), path.stem, origin, settings, _PHYSICAL_DEPTH, None)
 
 
 def proposed(study: Study) -> DesignSource:

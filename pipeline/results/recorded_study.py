@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ import pyarrow.compute as pc
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
+from pipeline.report.render import as_html
 from pipeline.results.study_tables import KEYS, SOURCES, available, field_of, keys_of, parts_of
 from pipeline.stages import STAGES, environments
 from pipeline.stages.data_sets import data_sets, ensemble_ids, networks_of
@@ -27,6 +29,7 @@ from pipeline.workflow.identity import TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import Execution, Upstream
 from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.tables.transfer import TransferRow, transfer_rows
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
 from tasks.simulation import Rollouts
@@ -40,8 +43,8 @@ CHAMPIONS = "champions"  # name of the table of champions
 _CHAMPION_COLUMNS = {
     **KEYS,
     **dict.fromkeys(("predicted", "zero_shot", "adapted"), pa.float64()),
-    "design_json": pa.string(),
     **dict.fromkeys(("predicted_sd", "fitness"), pa.float64()),
+    "design_json": pa.string(),
 }
 
 
@@ -54,7 +57,7 @@ class StageProgress:
     missing: int  # that are still to be computed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Study:
     """A recorded study as it is when it is first read; open it again to see what has been added since.
 
@@ -64,6 +67,15 @@ class Study:
     store: Store
     record: StudyRecord
     settings: Settings
+
+    def __repr__(self) -> str:
+        done = ", ".join(f"{stage} {one.done} of {sum(vars(one).values())}" for stage, one in self.progress.items())
+        return f"Study {self.name} in {self.store.root}\n  done: {done}\n  tables: {', '.join(self.tables)}"
+
+    def _repr_html_(self) -> str:
+        rows = transfer_rows(self.trials(), self.settings.target)
+        table = f"in {self.settings.target_label}, mean ± SD over trials:{as_html(TransferRow, rows, self.name)}"
+        return f'<pre style="white-space: pre-wrap">{escape(repr(self))}</pre>{f"Champions {table}" if rows else ""}'
 
     @property
     def name(self) -> str:

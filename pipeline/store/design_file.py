@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import decode_document, encode_document
 from tasks.design import Designs, check
-from tasks.design.genes import DTYPES, concatenate
+from tasks.design.genes import DTYPES
 
 DESIGN_SCHEMA, DESIGN_VERSION = "puddle.design", 1
 
@@ -34,22 +34,22 @@ def design_from(data: bytes, source: str) -> Designs:
     return _designs(genes, source)
 
 
-def read_design(path: Path) -> Designs:
-    """Read a design file."""
-    return design_from(path.read_bytes(), str(path))
+def load_design(path: str | Path) -> Designs:
+    """Read a design file, such as those of `puddle export`; raise PuddleError if it is none."""
+    return design_from(Path(path).read_bytes(), str(path))
 
 
-def write_design(design: Designs, path: Path) -> None:
-    """Write a design file; raise PuddleError if there is not one design, or it is not valid."""
+def save_design(design: Designs, path: str | Path) -> None:
+    """Write one design to a file that every command takes; raise PuddleError if it is not one valid design."""
     if len(design) != 1:
         raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
     data = design_json(design)
     design_from(data, str(path))
-    path.write_bytes(data)
+    Path(path).write_bytes(data)
 
 
-def read_designs(path: Path) -> Designs:
-    """Read the designs of a table.
+def open_designs(path: str | Path) -> Designs:
+    """Read the designs of a table, such as docs/champions.parquet.
 
     A Parquet file has a column for each gene, as ``study.table("histories")`` has, or the column ``design_json`` of the
     table of champions; further columns are ignored. A file that ends in .json is a design file.
@@ -57,8 +57,9 @@ def read_designs(path: Path) -> Designs:
     Raises:
         PuddleError: the file can't be read, holds no design, or a design is invalid; it names the row or column.
     """
+    path = Path(path)
     if path.suffix == ".json":
-        return read_design(path)
+        return load_design(path)
     try:
         table = read_parquet(path.read_bytes())
     except pa.ArrowException as error:
@@ -67,7 +68,7 @@ def read_designs(path: Path) -> Designs:
         raise PuddleError(f"{path}: expected at least one design, got none")
     if _DESIGN_JSON in table.column_names:
         texts = table[_DESIGN_JSON].to_pylist()
-        return concatenate([design_from(text.encode(), f"{path}, row {row}") for row, text in enumerate(texts)])
+        return Designs.concatenate([design_from(text.encode(), f"{path}, row {row}") for row, text in enumerate(texts)])
     return _designs({name: table[name].to_pylist() for name in DTYPES if name in table.column_names}, str(path))
 
 

@@ -22,7 +22,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,8 +63,8 @@ class StudyRecord:
     """A study's settings, its items, its failed chains, and where its settings come from."""
 
     name: str
-    settings: Mapping[str, Any]
-    items: tuple[StudyItem, ...]
+    settings: Mapping[str, Any] = field(repr=False)
+    items: tuple[StudyItem, ...] = field(repr=False)
     failed: tuple[FailedChain, ...] = ()
     source: str = ""  # "preset laptop" or the path of a settings file; empty if unknown
 

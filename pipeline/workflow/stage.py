@@ -152,10 +152,10 @@ class Results:
     """What the store holds of a stage for one study, by chain."""
 
     stage: str
-    done: Mapping[ChainId, tuple[Manifest, ...]]  # manifests of every complete chain, in the order of the plan
+    done: Mapping[ChainId, tuple[Manifest, ...]] = field(repr=False)  # of every complete chain, in the plan's order
     failed: Mapping[ChainId, Failure] = field(default_factory=dict)
     unfinished: tuple[ChainId, ...] = ()  # chains that have items still to do
-    n_done: Mapping[ChainId, int] = field(default_factory=dict)  # number of items done of every chain
+    n_done: Mapping[ChainId, int] = field(default_factory=dict, repr=False)  # number of items done of every chain
     seconds: float = 0.0  # core-seconds that the items took, on the machines that made them
     diverged: Mapping[ChainId, str] = field(default_factory=dict)  # in complete chains; the driver fills it in
     n_other_code: int = 0  # number of items done that a different version of the code made

@@ -22,7 +22,7 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float64
-from tasks.design import Designs, concatenate, jittered
+from tasks.design import Designs, jittered
 from tasks.design.gait import TURN, begun_later
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts
@@ -121,7 +121,7 @@ def restarted(design: Designs, n: int, rng: Generator) -> Designs:
     Every attachment is also moved up or down, or inwards at a gene's bound.
     """
     jitters = (jittered(design, rng, _JITTER) for _ in range(n - 1))
-    return concatenate([design, *(begun_later(again, rng.uniform(0.0, TURN)) for again in jitters)])
+    return Designs.concatenate([design, *(begun_later(again, rng.uniform(0.0, TURN)) for again in jitters)])
 
 
 def count_crossings(trials: Crossings, tank: Tank) -> TankTrials:

@@ -7,7 +7,7 @@ are ignored, and always zero, so that equal designs have equal arrays.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from tasks.arrays import Bools, Float64, Int64
+from tasks.arrays import ArrayData, Bools, Float64, Int64
 from tasks.compiled import compiled
 
 N_LINKS = 6  # links of a design, including the root; tasks/simulation/trees/step.py lists its joints
@@ -83,9 +83,11 @@ class DesignError(ValueError):
     """An invalid design; the message names design and gene, the expected and the received value."""
 
 
-@dataclass(frozen=True, eq=False)
-class Designs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Designs(ArrayData):
     """Designs as a struct of arrays, (n_designs, n_links) except for the frequency.
+
+    Designs with the same genes are equal, so that they can be members of a set and keys of a dictionary.
 
     Raises:
         DesignError: the shapes do not agree. :func:`check` checks values.
@@ -118,6 +120,12 @@ class Designs:
 
     def __len__(self) -> int:
         return int(self.frequency.shape[0])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Designs) and np.array_equal(self.table, other.table)
+
+    def __hash__(self) -> int:
+        return hash((self.table + 0.0).tobytes())  # -0.0 and 0.0 are equal
 
     def __getitem__(self, index: npt.ArrayLike | slice) -> Designs:
         """Select designs by a slice, indices or a mask; a single index selects one design."""
@@ -217,9 +225,15 @@ class Designs:
         table[:, REALS] = numbers
         return Designs.from_table(table)
 
-    def equals(self, other: Designs) -> bool:
-        """Return whether all genes of all designs are the same."""
-        return all(np.array_equal(array, getattr(other, name)) for name, array in self.arrays())
+    @staticmethod
+    def concatenate(several: Sequence[Designs]) -> Designs:
+        """Join designs, at least one of them, in the given order."""
+        return Designs.from_table(np.concatenate([part.table for part in several]))
+
+    def _repr_html_(self) -> str | None:
+        from tasks.design.drawing import drawn  # it builds on bodies, which build on designs
+
+        return None if _find_fault(self.table)[0] >= 0 else drawn(self)
 
 
 DTYPES: dict[str, type[np.generic]] = {
@@ -246,11 +260,6 @@ def _converted(name: str, values: npt.ArrayLike, dtype: type[np.generic]) -> npt
     if dtype is not np.float64 and not np.array_equal(array, given):
         raise DesignError(f"designs: {name}: expected values of type {np.dtype(dtype).name}, got {given.tolist()}")
     return array
-
-
-def concatenate(several: list[Designs]) -> Designs:
-    """Concatenate designs in the given order."""
-    return Designs(**{name: np.concatenate([getattr(part, name) for part in several]) for name in DTYPES})
 
 
 FIRST = np.array([COLUMNS[gene.name].start for gene in GENES])

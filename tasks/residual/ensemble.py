@@ -27,7 +27,7 @@ N_OUT = len(STATE[VELOCITIES])
 _SCALES = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")  # standardisation
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Ensemble:
     """Networks of one shape; the first axis of every array is the member."""
 
@@ -44,6 +44,10 @@ class Ensemble:
             biases=tuple(np.stack([bias for _, bias in layer]) for layer in by_layer),
             inputs=_inputs(members[0]),
         )
+
+    def __repr__(self) -> str:
+        layers = " → ".join(map(str, (len(self.inputs), *(bias.shape[1] for bias in self.biases))))
+        return f"Ensemble({self.n_members} networks of {layers} units, inputs {', '.join(self.inputs)})"
 
     @property
     def n_members(self) -> int:

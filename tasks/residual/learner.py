@@ -4,7 +4,7 @@ A study names its learners in the settings group ``learners``. Those of the pape
 robots, are built in.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -45,6 +45,10 @@ class LearnerSettings(Parameters):
     """Number of networks; null for ensemble.n_members."""
     single: str | None = later_choice(None)
     """Another learner, of whose networks each trial uses one by itself; null for an ensemble of its own."""
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Show what is stated, even where it is a default."""
+        yield from self.model_dump().items()
 
     @field_serializer("throws", "network", "training")
     def _stated(self, group: Parameters) -> dict[str, Any]:

@@ -16,12 +16,13 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from tasks.arrays import Bools, Float32, Float64, Int64
+from tasks.arrays import ArrayData, Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters, later_choice
 from tasks.residual.observation import OBSERVATION, STATE, observe_states
 from tasks.residual.robot_ranges import robot_ranges
+from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import Medium, Physics
+from tasks.world import Environment, Medium, Physics, as_environment
 from tasks.world.slush import submerged_part
 
 
@@ -80,8 +81,8 @@ class DesignedThrows(Throws):
     """Starts, as in throws.design."""
 
 
-@dataclass(frozen=True, eq=False)
-class Starts:
+@dataclass(frozen=True, eq=False, repr=False)
+class Starts(ArrayData):
     """Initial states of throws; axis 0 is the throw."""
 
     throw: Int64  # (n_throws,) index of the throw in the data set
@@ -96,8 +97,8 @@ class Starts:
         return Starts(self.throw[chunk], self.length_scale[chunk], self.state[chunk])
 
 
-@dataclass(frozen=True, eq=False)
-class Transitions:
+@dataclass(frozen=True, eq=False, repr=False)
+class Transitions(ArrayData):
     """One step from each state of the throws, in E and in E'; axis 0 is the transition."""
 
     throw: Int64  # (n_transitions,) index of the throw in the data set
@@ -126,6 +127,21 @@ class Transitions:
         """Select transitions by a mask."""
         return type(self)(**{name: column[rows] for name, column in self.columns().items()})
 
+    @staticmethod
+    def of_states(table: Any, physics: Physics | None = None) -> Transitions:
+        """Make transitions of a table of states, as :func:`tasks.residual.training.learn` takes it."""
+        names = ("throw", "length_scale", *STATE)
+        try:
+            throw, length_scale, *columns = (np.asarray(table[name]) for name in names)
+        except KeyError as missing:
+            raise ValueError(f"throws: expected a table with columns {', '.join(names)}; it has no {missing}") from None
+        state, number = np.stack(columns, axis=1).astype(np.float32), np.arange(len(throw))
+        goes_on = np.append(False, throw[1:] == throw[:-1])
+        step = number - np.maximum.accumulate(np.where(goes_on, 0, number))
+        now = np.flatnonzero(goes_on) - 1
+        on_dry_land = FreeLinks(length_scale[now], physics or Physics()).step(state[now], None)
+        return _transitions(throw[now], step[now], length_scale[now], state[now], state[now + 1], on_dry_land)
+
     @classmethod
     def concatenate(cls, chunks: Sequence[Self]) -> Self:
         """Concatenate chunks in the given order."""
@@ -133,7 +149,7 @@ class Transitions:
         return cls(**{name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MeasuredTransitions(Transitions):
     """Transitions of real throws, whose residuals are uncertain."""
 
@@ -194,16 +210,36 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physi
 
     x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))
     length_scale = np.repeat(starts.length_scale, n_steps)
-    return Transitions(
-        throw=np.repeat(starts.throw, n_steps),
-        step=np.tile(np.arange(n_steps), n),
-        length_scale=length_scale,
-        state=x,
-        next_in_slush=E,
-        next_on_dry_land=E_dry,
-        observation=observe_states(length_scale, x),
-        residual=E - E_dry,
-    )
+    return _transitions(np.repeat(starts.throw, n_steps), np.tile(np.arange(n_steps), n), length_scale, x, E, E_dry)
+
+
+def _transitions(throw: Int64, step: Int64, a: Float64, x: Float32, E: Float32, E_dry: Float32) -> Transitions:
+    return Transitions(throw, step, a, x, E, E_dry, observe_states(a, x), residual=E - E_dry)
+
+
+def throw(
+    environment: Environment | Medium | str,
+    throws: Throws | None = None,
+    *,
+    seed: int = 1,
+    physics: Physics | None = None,
+) -> Transitions:
+    """Throw links into a medium as studies do, and record what the base simulator gets wrong in every step.
+
+    Args:
+        environment: such as ``TrueSlush(depth=9.0)``, a medium of your own or the name of one. Throws meet no ground.
+        throws: number, length and starts of throws; by default 3,400 for robots, of half a second each.
+        seed: of the starts.
+        physics: constants of the base simulator; the paper's by default.
+
+    Raises:
+        ValueError: there is no such environment, or it does not have one medium.
+    """
+    throws, physics, there = throws or DesignedThrows(), physics or Physics(), as_environment(environment)
+    if there.medium is None or there.is_ensemble:
+        raise ValueError(f"environment: expected one with one medium, such as true_slush, got {environment!r}")
+    starts = initial_states(throws, generator(seed, "collect"), physics)
+    return simulate_throws(starts, throws.n_steps_of(physics), there.medium, physics)
 
 
 def current(transitions: Transitions) -> tuple[float, float]:

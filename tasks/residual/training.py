@@ -5,6 +5,7 @@ another processor as well; on a CUDA device, on the same machine. All members of
 """
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.residual.descent import Descent
+from tasks.residual.ensemble import Ensemble
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import Standardisation, initial_weights
@@ -20,6 +22,12 @@ from tasks.residual.throws import MeasuredTransitions, Transitions
 from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
 from tasks.residual.wetted import in_link_axes, in_world_axes, symmetric_copies, training_targets
 from tasks.seeding import generator
+
+SMALL = Architecture(hidden_layers=2, width=48)
+QUICK = Training(
+    n_iterations=3000, batch_size=2048, learning_rate=0.03, warm_up=0.3, decay="cosine", weight_decay=0.03, loss="mse"
+)
+"""What :func:`learn` trains by default: networks for a notebook."""
 
 _N_CURVE_POINTS = 100  # approximate number of points of a learning curve
 _FLOOR = 0.1  # share of the residuals' deviation below which their uncertainty does not matter
@@ -78,6 +86,40 @@ def precision_weights(residual: Float32, residual_sd: Float32) -> Float32:
     floor = np.maximum(_FLOOR * residual.std(axis=0, dtype=np.float64), np.finfo(np.float32).tiny)
     weights: Float32 = (1 / (1 + np.square(residual_sd / floor))).astype(np.float32)
     return weights
+
+
+def learn(
+    throws: Transitions | Any,
+    *,
+    n_members: int = 4,
+    network: Architecture = SMALL,
+    training: Training = QUICK,
+    seed: int = 1,
+) -> Ensemble:
+    """Train an ensemble on throws as studies do, on one core.
+
+    For example, in half a minute::
+
+        ensemble = puddle.learn(puddle.throw("true_slush"))
+        learned = puddle.ResidualSlush(depth=9.0, ensemble=ensemble)
+        puddle.simulate(designs, learned).displacement  # (n_members, n_designs) [m]
+
+    Args:
+        throws: those of ``puddle.throw``, or your own: a table, such as a data frame, with a row per step of 1/60 s,
+            throw by throw, and the columns throw, a whole number; length_scale, the long axis [m]; x and y of the
+            centre, over the surface [m]; angle [rad]; vx, vy [m/s]; omega [rad/s].
+        n_members: number of networks.
+        network: size and form of a network, by default 2 × 48 units.
+        training: settings of the training, by default of a quick one.
+        seed: of the networks and of which throws are held out.
+
+    Raises:
+        TrainingDiverged: a loss is not finite.
+        ValueError: the table lacks a column, or there are fewer than two throws.
+    """
+    throws = throws if isinstance(throws, Transitions) else Transitions.of_states(throws)
+    members = [train_member(throws, network, training, seed=seed, member=member) for member in range(n_members)]
+    return Ensemble.from_members([trained.arrays() for trained in members])
 
 
 def train_member(

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from tasks.arrays import Float32, Float64
+from tasks.arrays import ArrayData, Float32, Float64
 from tasks.design.genes import Designs, check
 from tasks.simulation import batch, reference
 from tasks.simulation.box2d import Column, Motion
@@ -23,8 +23,8 @@ ENGINES = {"batch": batch.roll_out, "reference": reference.roll_out}
 OK, DIVERGED = "ok", "diverged"
 
 
-@dataclass(frozen=True, eq=False)
-class Rollouts:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rollouts(ArrayData):
     """Results of n_designs designs; in an ensemble every array has a leading axis of n_members."""
 
     displacement: Float64  # (n_designs,) of the root along x, from the end of settling on [m]; NaN where diverged
@@ -41,6 +41,11 @@ class Rollouts:
     """(n_designs,) work of all motors after settling [J], braking included: the sum over steps and joints of
     |torque · speed of the joint| · dt, for each joint exactly as :class:`tasks.simulation.box2d.Motion` says, and then
     summed over the joints in float64. NaN where diverged; None unless requested."""
+
+    def __repr__(self) -> str:
+        ok = self.displacement[self.status == OK]
+        moved = f": displacement {ok.min():.2f} to {ok.max():.2f} m" if ok.size else ""
+        return f"{super().__repr__()}{moved}; {self.status.size - ok.size} diverged"
 
 
 def simulate(

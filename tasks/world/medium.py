@@ -7,12 +7,12 @@ residual of a step is an exact function of the state, and the joints are solved 
 from dataclasses import dataclass
 from typing import Protocol
 
-from tasks.arrays import Floats
+from tasks.arrays import ArrayData, Floats
 from tasks.world.physics import Physics
 
 
-@dataclass(frozen=True, eq=False)
-class LinkStates:
+@dataclass(frozen=True, eq=False, repr=False)
+class LinkStates(ArrayData):
     """States of links at the start of a step; all arrays have the same shape.
 
     In a rollout that shape is (n_members, n_designs, n_links), with one member for an environment without an ensemble.
@@ -30,8 +30,8 @@ class LinkStates:
     omega: Floats  # [rad/s]
 
 
-@dataclass(frozen=True, eq=False)
-class VelocityChange:
+@dataclass(frozen=True, eq=False, repr=False)
+class VelocityChange(ArrayData):
     """Change of links' velocities in one step; arrays of the links' shape."""
 
     vx: Floats  # [m/s]

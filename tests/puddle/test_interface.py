@@ -3,6 +3,7 @@
 import importlib.metadata
 import subprocess
 import sys
+import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,11 @@ def test_names_are_those_of_the_packages():
     assert puddle.__version__ == importlib.metadata.version("puddle")
 
 
+def test_dir_lists_the_names_and_no_modules():
+    assert set(dir(puddle)) == {*puddle.__all__, "__doc__", "__version__"}
+    assert not [name for name in dir(puddle) if isinstance(getattr(puddle, name), types.ModuleType)]
+
+
 def test_importing_it_loads_no_cluster_no_tracking_and_no_torch():
     slow = ("ray", "mlflow", "torch", "matplotlib", "scipy.optimize", "scipy.spatial")
     script = f"import puddle, sys; print([name for name in {slow} if name in sys.modules])"
@@ -50,7 +56,7 @@ def test_puddle_is_imported_beside_a_user_s_own_modules(shadow, tmp_path):
 def test_a_design_is_saved_and_loaded(tmp_path):
     design = puddle.random_designs(1, np.random.default_rng(0))
     puddle.save_design(design, tmp_path / "design.json")
-    assert puddle.load_design(tmp_path / "design.json").equals(design)
+    assert puddle.load_design(tmp_path / "design.json") == design
     with pytest.raises(puddle.PuddleError, match="expected one design, got 2"):
         puddle.save_design(puddle.random_designs(2, np.random.default_rng(0)), tmp_path / "two.json")
     with pytest.raises(puddle.PuddleError, match=r"frequency is 3.0, expected 0 to 0.3 Hz"):

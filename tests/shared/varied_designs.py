@@ -24,7 +24,7 @@ def canonical(designs: Designs) -> Designs:
 
 
 def is_canonical(designs: Designs) -> bool:
-    return canonical(designs).equals(designs)
+    return canonical(designs) == designs
 
 
 def numbers(designs: Designs) -> np.ndarray:

@@ -21,6 +21,12 @@ def test_json_omits_a_later_choice_where_it_has_its_default():
         assert _Group.model_validate(group.model_dump(mode="json")) == group
 
 
+def test_a_group_shows_what_differs_from_its_defaults_and_can_be_made_of_that():
+    assert (repr(_Group()), repr(_Group(old=2.0))) == ("_Group()", "_Group(old=2.0)")
+    afpo = Afpo(population_size=16, mutation=Mutation(step=0.2))
+    assert repr(afpo) == "Afpo(population_size=16, mutation=Mutation(step=0.2))" and eval(repr(afpo)) == afpo
+
+
 def test_what_the_paper_leaves_open_is_not_in_the_json_of_what_was_computed_before():
     before = {Physics: 11, Slush: 3, RandomisedSlushes: 5, Mutation: 3, Afpo: 5}  # fields that these groups had
     assert {group: len(group().model_dump(mode="json")) for group in before} == before

@@ -11,7 +11,7 @@ import numpy as np
 from tasks.analysis.estimates import Estimate, Mean, mean_of, sample_of, sum_of_means
 from tasks.analysis.registry import OfArm, StudyData, analysis, column
 from tasks.analysis.scores import Champion, arms
-from tasks.design import Designs, concatenate, jittered
+from tasks.design import Designs, jittered
 
 N_STARTS = 32
 _SHIFT, _TURN = 1e-3, 1e-3  # of every joint along its links [m], and of its angle [rad]
@@ -57,7 +57,7 @@ def scored_again(study: StudyData, champion: Champion) -> float:
 def moved_joints(study: StudyData, champion: Champion) -> Designs:
     """Return N_STARTS copies of a champion with every joint a millimetre and a milliradian off, either way."""
     rng = study.rng("luck", champion.environment, champion.depth, str(champion.trial))
-    copies = concatenate([champion.design] * N_STARTS)
+    copies = Designs.concatenate([champion.design] * N_STARTS)
     length = copies.length_scale
     shifts = {
         "parent_attachment": _SHIFT / (np.take_along_axis(length, np.maximum(copies.parent, 0), axis=1) / 2),

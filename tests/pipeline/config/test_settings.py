@@ -37,6 +37,8 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         assert (one.data_set, one.is_single, one.network) == ("fifty", True, fifty.network)
         assert list(same.ensembles) == ["throws", "fifty"] and same.learner("true_slush") is None
         assert all(same.is_adapted(name) for name in same.grid.environments)
+        stating = "LearnerSettings(throws={'n_throws': 500}, network={'form': 'plain'}, n_members=3)"
+        assert stating in repr(same) and repr(same).count("\n") == 6
     assert "learners" not in Settings().model_dump(mode="json")
 
 

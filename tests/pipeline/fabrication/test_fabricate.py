@@ -16,7 +16,7 @@ from pipeline.fabrication.make_kit import fabricate
 from pipeline.fabrication.source import from_file, proposed
 from pipeline.results.recorded_study import open_study
 from pipeline.servo.play import PlayOptions, play_timeline
-from pipeline.store.design_file import design_json, read_design
+from pipeline.store.design_file import design_json, load_design
 from tasks.design import Designs
 from tasks.fabrication.kit_settings import FabricationSettings
 
@@ -41,7 +41,7 @@ def test_a_kit_is_whole(made):
     for name, digest in manifest["files"].items():
         assert hashlib.sha256((kit / name).read_bytes()).hexdigest() == digest
     assert {"timeline.json", "design.json", "assembly.md", "servo.md", "servo-wiring.svg"} <= held
-    assert read_design(kit / "design.json").equals(read_design(made / "crane.json"))
+    assert load_design(kit / "design.json") == load_design(made / "crane.json")
     assert manifest["metrics"]["n_faults"] == 0
     page = (kit / "index.html").read_text()
     n_warnings = sum(finding["severity"] == "warning" for finding in manifest["findings"])

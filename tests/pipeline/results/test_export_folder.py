@@ -15,7 +15,7 @@ from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.report import page
 from pipeline.results.export_folder import LARGE_TABLES
-from pipeline.store.design_file import design_json, read_design
+from pipeline.store.design_file import design_json, load_design
 from tasks.world import ENVIRONMENTS
 
 pytestmark = pytest.mark.usefixtures("one_figure")
@@ -52,9 +52,9 @@ def test_every_champion_is_a_design_file(exported, recorded):
     names = {f"{row['environment']}-1m-trial-{row['trial']}" for row in rows}
     adapted = {f"dry_land-1m-trial-{trial}-adapted" for trial in (0, 1)}
     assert {path.stem for path in (exported / "champions").iterdir()} == names | adapted
-    design = read_design(exported / "champions" / "dry_land-1m-trial-1.json")
+    design = load_design(exported / "champions" / "dry_land-1m-trial-1.json")
     assert design_json(design) == design_json(study.champion("dry_land", depth=1.0, trial=1))
-    body = read_design(exported / "champions" / "dry_land-1m-trial-1-adapted.json")
+    body = load_design(exported / "champions" / "dry_land-1m-trial-1-adapted.json")
     assert (body.parent == design.parent).all() and not (body.phase == design.phase).all()
 
 

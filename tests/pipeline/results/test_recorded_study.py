@@ -39,6 +39,25 @@ def test_settings_and_progress_are_those_of_the_record(opened, settings):
     assert opened.progress["evolve"] == StageProgress(done=2 * len(ARMS) * N_TRIALS, failed=0, missing=0)
 
 
+def test_a_study_is_shown_by_its_progress_and_its_table(opened, settings):
+    shown, html = repr(opened), opened._repr_html_()
+    assert "evolve 16 of 16" in shown and "champions, histories" in shown and len(shown) < 600
+    assert html.count("<tr>") == 1 + len(ARMS) and "Residual Slush" in html and "zero-shot [m]" in html
+    assert "Ensemble(2 networks" in repr(opened.ensemble())
+    assert max(len(repr(value)) for value in (opened.record, opened.settings, opened.progress)) < 1500
+
+
+def test_networks_that_learn_without_a_study_are_those_of_the_study(opened, settings):
+    throws = puddle.throw("true_slush", settings.throws, seed=settings.seed)
+    of = {"network": settings.network, "training": settings.training, "seed": settings.seed}
+    learned, studied = puddle.learn(throws, n_members=2, **of), opened.ensemble()
+    for ours, theirs in zip((*learned.weights, *learned.biases), (*studied.weights, *studied.biases), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    for environment in (puddle.DryLand(1.0), puddle.ResidualSlush(1.0, learned), "randomised_slush"):
+        with pytest.raises(ValueError, match="environment: expected one with one medium"):
+            puddle.throw(environment)
+
+
 def test_progress_tells_failed_from_missing(recorded, tmp_path):
     root = shutil.copytree(recorded, tmp_path / "store")
     store = Store.open(root, create=False)
@@ -102,7 +121,8 @@ def test_filters_select_what_polars_would(opened):
 
 def test_a_champion_scores_again_what_the_table_says(opened, settings):
     champions = opened.champions()
-    assert champions.column_names[:7] == [*KEYS, "predicted", "zero_shot", "adapted", "design_json"]
+    assert champions.column_names[:6] == [*KEYS, "predicted", "zero_shot", "adapted"]
+    assert champions.column_names[-1] == "design_json"  # after the numbers
     assert len(champions) == len(ARMS) * N_TRIALS
     for row in champions.to_pylist():
         assert (row["adapted"] is None) == (row["environment"] != "dry_land")

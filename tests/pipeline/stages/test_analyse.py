@@ -70,7 +70,7 @@ def test_assessed_designs_are_those_of_the_histories(settings, study, prediction
         mine = (predictions["environment"] == environment) & (predictions["trial"] == 0)
         at = np.searchsorted(history["identity"], predictions["identity"][mine])
         drawn = Designs(**{name: predictions[name][mine] for name in DTYPES})
-        assert drawn.equals(Designs.from_arrays(history)[at])
+        assert drawn == Designs.from_arrays(history)[at]
         assert (history["generation"][at] == predictions["generation"][mine]).all()
         if environment == "true_slush":  # simulated anew, and the same to the last bit
             assert predictions["true"][mine].tolist() == history["displacement"][at, 0].tolist()

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.store.design_file import design_from, design_json, read_designs
+from pipeline.store.design_file import design_from, design_json, open_designs
 from tasks.design import random_designs
 
 DESIGNS = random_designs(5, np.random.default_rng(3))
@@ -23,9 +23,9 @@ def written(folder, columns):
 
 def test_every_form_of_a_table_gives_the_same_designs(tmp_path):
     (tmp_path / "design.json").write_text(DOCUMENTS[0])
-    assert (read_designs(tmp_path / "design.json").table == DESIGNS[:1].table).all()
+    assert (open_designs(tmp_path / "design.json").table == DESIGNS[:1].table).all()
     for columns in ({**COLUMNS, "fitness": [0.0] * 5}, {"trial": list(range(5)), "design_json": DOCUMENTS}):
-        assert (read_designs(written(tmp_path, columns)).table == DESIGNS.table).all()
+        assert (open_designs(written(tmp_path, columns)).table == DESIGNS.table).all()
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_every_form_of_a_table_gives_the_same_designs(tmp_path):
 def test_a_faulty_column_is_named(tmp_path, changed, said):
     columns = {name: values for name, values in (COLUMNS | changed).items() if values is not None}
     with pytest.raises(PuddleError, match=said):
-        read_designs(written(tmp_path, columns))
+        open_designs(written(tmp_path, columns))
 
 
 @pytest.mark.parametrize(
@@ -70,4 +70,4 @@ def test_a_faulty_field_is_named(changed, said):
 def test_no_table_of_designs(tmp_path):
     (tmp_path / "designs.parquet").write_bytes(b"PAR1")
     with pytest.raises(PuddleError, match=r"designs.parquet: expected a Parquet file or a design file"):
-        read_designs(tmp_path / "designs.parquet")
+        open_designs(tmp_path / "designs.parquet")

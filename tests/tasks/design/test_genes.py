@@ -2,11 +2,12 @@
 
 import re
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from tasks.design import GENES, N_LINKS, DesignError, Designs, check, concatenate, random_designs
+from tasks.design import GENES, N_LINKS, DesignError, Designs, check, random_designs
 from tasks.design.genes import COLUMNS, N_COLUMNS, N_REALS, Gene
 
 
@@ -32,21 +33,37 @@ def test_a_wrong_shape_is_refused_by_name(designs: Designs, name: str, shape: tu
 def test_equality_sees_every_gene(designs: Designs, name: str) -> None:
     array = getattr(designs, name).copy()
     array.flat[-1] = ~array.flat[-1] if name == "motor_on" else array.flat[-1] + 1
-    assert not replace(designs, **{name: array}).equals(designs)
+    other, again = replace(designs, **{name: array}), replace(designs)
+    assert (designs == other) is False and (designs == again) is True and (designs == array) is False
+    assert {designs: "it", other: "another"}[again] == "it"
+
+
+def test_designs_are_shown_by_their_shapes_and_drawn(designs: Designs) -> None:
+    assert repr(designs) == (
+        "Designs(length_scale, parent, parent_attachment, child_attachment, rest_angle, phase, motion_range, motor_on "
+        "(5, 6); frequency (5,))"
+    )
+    drawn = ElementTree.fromstring(Designs.concatenate([designs] * 4)._repr_html_())
+    assert [len(robot.findall(".//rect")) for robot in drawn.findall("svg")] == [N_LINKS] * 12
+    assert (drawn[-1].tail or "") == " and 8 more"
+    dots = [dot.get("fill") == "#1d2129" for dot in drawn.iter("circle")]
+    assert dots[:25] == designs.motor_on[:, 1:].ravel().tolist()
+    far = with_value(designs, "parent", (1, 2), 40)
+    assert far._repr_html_() is None and "length_scale" in repr(far)  # what can't be drawn
 
 
 def test_indexing_chooses_designs(designs: Designs) -> None:
     assert len(designs) == 5
     assert len(designs[2]) == 1
     assert designs[2].frequency[0] == designs.frequency[2]
-    assert designs[1:3].equals(designs[[1, 2]])
+    assert designs[1:3] == designs[[1, 2]]
     mask = np.array([True, False, False, True, False])
-    assert designs[mask].equals(designs[[0, 3]])
+    assert designs[mask] == designs[[0, 3]]
     assert len(designs[np.zeros(0, dtype=np.int64)]) == 0
     np.testing.assert_array_equal(designs[[4, 4, 0]].phase, designs.phase[[4, 4, 0]])
     with pytest.raises(IndexError):
         designs[5]
-    assert concatenate([designs[:2], designs[2:]]).equals(designs)
+    assert Designs.concatenate([designs[:2], designs[2:]]) == designs
 
 
 def test_a_vector_is_a_design_and_back() -> None:
@@ -124,7 +141,7 @@ def test_a_broken_tree_is_named(designs: Designs, link: int, parent: int, expect
 def test_a_table_holds_designs_exactly_and_can_not_be_made_untrue(designs: Designs) -> None:
     assert designs.table.shape == (len(designs), N_COLUMNS)
     restored = Designs.from_table(designs.table[::-1].copy())
-    assert restored.equals(designs[::-1])
+    assert restored == designs[::-1]
     for name, array in restored.arrays():
         np.testing.assert_array_equal(array.reshape(len(designs), -1), restored.table[:, COLUMNS[name]])
         with pytest.raises(ValueError, match="read-only"):

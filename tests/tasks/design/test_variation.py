@@ -43,7 +43,7 @@ def test_mutants_are_valid_and_differ(seed: int, n_designs: int, mutation: Mutat
     mutants = mutate(parents, rng, mutation=mutation, parts=parts)
     check(mutants)
     assert is_canonical(mutants)
-    assert parents.equals(before)
+    assert parents == before
     assert (numbers(mutants) != numbers(parents)).any(axis=1).all()
     for name in BODY if parts == ("control",) else ():
         np.testing.assert_array_equal(getattr(mutants, name), getattr(parents, name))

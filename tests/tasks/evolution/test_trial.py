@@ -45,7 +45,7 @@ def test_the_history_has_a_row_for_every_design(uncut: tuple[Population, History
     np.testing.assert_array_equal(history["displacement"], again.displacement)
     np.testing.assert_array_equal(history["com_displacement"], again.com_displacement)
     # What the search keeps are rows of it, the best among them.
-    assert designs[population.identity].equals(population.designs)
+    assert designs[population.identity] == population.designs
     np.testing.assert_array_equal(history["fitness"][population.identity], population.fitness)
     assert history["survived"][population.identity].all()
     assert population.fitness[population.champion()] == history["fitness"].max()

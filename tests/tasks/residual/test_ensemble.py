@@ -44,6 +44,11 @@ def ensemble():
     return Ensemble.from_members(members(ARCHITECTURE)[1])
 
 
+def test_an_ensemble_is_shown_without_its_weights(ensemble):
+    shown = "Ensemble(3 networks of 6 → 32 → 32 → 3 units, inputs a, y, cos_angle, vx, vy, omega)"
+    assert repr(ensemble) == shown
+
+
 @pytest.mark.parametrize("architecture", [Architecture(hidden_layers=1, width=7), Architecture()])
 def test_equals_each_member_s_own_network(architecture):
     networks, arrays = members(architecture)

@@ -1,9 +1,10 @@
 import numpy as np
+import pyarrow as pa
 import pytest
 from pydantic import ValidationError
 
 from tasks.residual import Throws, Transitions, current, initial_states, simulate_throws
-from tasks.residual.observation import VELOCITIES
+from tasks.residual.observation import STATE, VELOCITIES
 from tasks.world import LinkStates, Physics, Slush
 from tasks.world.flowing_slush import FlowingSlush
 
@@ -51,6 +52,20 @@ def test_residual_is_the_slush_s_velocity_change_and_its_time_integral(transitio
     positions = transitions.residual[:, :3]
     assert np.abs(positions - PHYSICS.time_step * transitions.residual[:, VELOCITIES]).max() < 4 * 2**-19
     assert np.abs(x[:, :3]).max() < 64
+
+
+def test_transitions_are_made_of_a_table_of_states(transitions):
+    """Those of the same throws, but for the last step of each, whose end the table lacks."""
+    columns = {name: transitions.state[:, number] for number, name in enumerate(STATE)}
+    table = pa.table({"throw": transitions.throw, "length_scale": transitions.length_scale, **columns})
+    expected = transitions[transitions.step < 29]
+    for states in (table, table.to_pandas(), columns | transitions.columns()):
+        made = Transitions.of_states(states)
+        for name in Transitions.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(made, name), getattr(expected, name), err_msg=name)
+    with pytest.raises(ValueError, match=r"expected a table with columns throw, length_scale, x.* no 'length_scale'"):
+        Transitions.of_states({"throw": transitions.throw, **columns})
+    assert len(repr(transitions)) < 250
 
 
 def test_a_throw_does_not_depend_on_its_chunk(starts, transitions):

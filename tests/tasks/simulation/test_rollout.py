@@ -38,6 +38,8 @@ def test_shapes_and_displacements_are_those_of_the_trace(designs: Designs, envir
     rollouts = short(designs, environment)
     for name in ("displacement", "com_displacement", "status"):
         assert getattr(rollouts, name).shape == (*members, 6), name
+    low, high = rollouts.displacement.min(), rollouts.displacement.max()
+    assert f"displacement {low:.2f} to {high:.2f} m; 0 diverged" in repr(rollouts) and len(repr(rollouts)) < 200
     assert rollouts.displacement.dtype == rollouts.com_displacement.dtype == np.float64
     assert rollouts.trace.shape == (*members, 6, 100, 6, 6) and rollouts.trace.dtype == np.float32
     assert (rollouts.status == OK).all()
