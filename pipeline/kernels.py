@@ -9,7 +9,6 @@ at any depth; for a name that is imported from a package, all that the package i
 in its folder, such as a user's medium, is none of them.
 """
 
-import ast
 import contextlib
 import fcntl
 import functools
@@ -28,7 +27,7 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.event import Listener, register
 
-from pipeline.sources import Sources, imported_names, read_modules
+from pipeline.sources import Sources, imported_names, parsed, read_modules
 from tasks.compiled import KERNELS
 from tasks.simulation.batch import needed_kernels
 from tasks.world import Physics
@@ -45,7 +44,7 @@ def kernel_sources(modules: Sources) -> Sources:
         name = pending.pop()
         if name in modules and name not in sources:
             sources[name] = modules[name]
-            pending += imported_names(ast.parse(modules[name]))
+            pending += imported_names(parsed(modules[name]))
     return sources
 
 

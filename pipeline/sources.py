@@ -17,6 +17,14 @@ def read_modules(*packages: str) -> Sources:
     return {name: path.read_bytes() for name, path in zip(names, paths, strict=True)}
 
 
+def parsed(source: bytes) -> ast.Module:
+    """Parse a module; one that can't be imported, because of its syntax, counts as empty."""
+    try:
+        return ast.parse(source)
+    except SyntaxError:
+        return ast.Module([], [])
+
+
 def imported_names(tree: ast.AST) -> Sequence[str]:
     """List the modules that a module imports, also inside functions, and whatever it imports from one."""
     names: list[str] = []

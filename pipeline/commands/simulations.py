@@ -23,6 +23,7 @@ from pipeline.store.tables import Columns, csv_of
 from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import Execution, Files, MissingInputs
 from tasks.design import Designs
+from tasks.discovery import FAILURES
 from tasks.evolution import OBJECTIVES
 from tasks.residual import ensemble_of_data_set
 from tasks.simulation import OK, Rollouts
@@ -157,7 +158,8 @@ def _checked(settings: Settings, environment: str | None, depth: float) -> Envir
     known = {name: settings.learner(name) for name in (*ENVIRONMENTS, *settings.learners)}
     names = [name for name, learner in known.items() if learner is None or not learner.is_single]
     if environment not in names:
-        raise PuddleError(f"--environment: expected one of {', '.join(names)}, got {environment!r}")
+        mistake = f"--environment: expected one of {', '.join(names)}, got {environment!r}"
+        raise PuddleError("; ".join([mistake, *FAILURES]))
     if not 0.0 <= depth <= DEEPEST:
         raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
     return environment

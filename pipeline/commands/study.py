@@ -53,10 +53,11 @@ def _run_stages(
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE."""
     from pipeline.commands.time_model import forecast_stages
-    from pipeline.stages import STAGES
+    from pipeline.stages import STAGES, environments
     from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.driver import drive
     from pipeline.workflow.progress import progress
+    from tasks.discovery import FAILURES
     from tasks.evolution import require_search
 
     settings = options.settings()
@@ -68,6 +69,9 @@ def _run_stages(
         require_search(settings.evolution.search)
     except ValueError as error:
         raise PuddleError(f"evolution.{error}") from None
+    for failure in FAILURES:
+        to_stderr(f"left out: {failure}")
+    environments.check_media(settings)
     _check_inputs(options, settings, wanted[0])
     store = options.open_store(create=True)
     if recompute:

@@ -17,6 +17,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from pipeline.errors import PuddleError
+from tasks.discovery import FAILURES
 
 PRESETS = Path(str(files("pipeline") / "presets")).resolve()
 """Folder of the presets, which a checkout has as configs/. Only the driver reads them."""
@@ -70,7 +71,8 @@ def parse(model: type[M], content: str | bytes, *, name: str, overrides: Sequenc
         # If pydantic refuses an element of a list, it also reports that the list is too short.
         faulty = {error["loc"][:depth] for error in found for depth in range(len(error["loc"]))}
         found = [error for error in found if error["type"] != "too_short" or error["loc"] not in faulty]
-        raise PuddleError("\n".join(_explain(model, settings, name, overrides, error) for error in found)) from None
+        mistakes = "\n".join(_explain(model, settings, name, overrides, error) for error in found)
+        raise PuddleError("; ".join([mistakes, *FAILURES])) from None  # which may have registered what is unknown
 
 
 class _Loader(yaml.SafeLoader):

@@ -7,18 +7,21 @@ import numpy as np
 
 from pipeline.cluster import Spread
 from pipeline.config.settings import RolloutSettings, Settings
+from pipeline.errors import PuddleError
 from pipeline.stages.data_sets import NetworkId
 from pipeline.store.encoding import decode_arrays
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
-from tasks.design import Designs
+from tasks.design import Designs, random_designs
 from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual import Architecture
+from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, environment_kind
+from tasks.world.medium import MediumError
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 MEMBER = "member"  # role of the inputs that are networks
@@ -140,17 +143,33 @@ def roll_out(
     trace: bool = False,
     motor_work: bool = False,
 ) -> Rollouts:
-    """Simulate designs, with a trace of every step and the work of the motors where they are asked for."""
-    return simulate(
-        designs,
-        environment,
-        n_settle=simulation.rollout.n_settle,
-        n_measure=simulation.rollout.n_measure,
-        engine=execution.engine,
-        trace=trace,
-        motor_work=motor_work,
-        physics=simulation.physics,
-    )
+    """Simulate designs, with a trace of every step and the work of the motors where they are asked for.
+
+    Raises PuddleError if the medium, perhaps a user's own, gives no velocity change.
+    """
+    try:
+        return simulate(
+            designs,
+            environment,
+            n_settle=simulation.rollout.n_settle,
+            n_measure=simulation.rollout.n_measure,
+            engine=execution.engine,
+            trace=trace,
+            motor_work=motor_work,
+            physics=simulation.physics,
+        )
+    except MediumError as error:
+        raise PuddleError(str(error)) from error
+
+
+def check_media(settings: Settings) -> None:
+    """Take a few steps with a robot in every medium of a study; raise PuddleError if one gives no velocity change."""
+    design = random_designs(1, generator(0, "check"))
+    for name in (settings.target, *settings.grid.environments):
+        if settings.learner(name) is None:
+            simulation = replace(simulation_spec(settings, name), rollout=RolloutSettings(n_settle=0, n_measure=3))
+            environment = build_environment(simulation.media, name, 0.0, {})
+            roll_out(simulation, Execution("reference"), environment, design)
 
 
 @dataclass(frozen=True)

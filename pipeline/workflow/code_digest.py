@@ -13,7 +13,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.sources import imported_names, read_modules
+from pipeline.sources import imported_names, parsed, read_modules
 from pipeline.store.manifest import Manifest
 from pipeline.workflow.stage import AnyStage
 
@@ -38,7 +38,7 @@ def digests(modules: Sequence[str], files: Mapping[str, bytes]) -> set[str]:
     """Return a short digest of each of some modules and of all that they import, without comments and docstrings.
 
     Imports inside functions count. A package below ``PACKAGES`` is imported with each of its modules, and one that uses
-    ``pkgutil`` imports all of its modules.
+    tasks.discovery imports all of its modules.
     """
     found: dict[str, str] = {}
     pending = [*modules]
@@ -48,7 +48,7 @@ def digests(modules: Sequence[str], files: Mapping[str, bytes]) -> set[str]:
             continue
         found[name], imports = _parsed(files[name])
         pending += [name.rpartition(".")[0], *imports]
-        if "pkgutil" in imports:
+        if "tasks.discovery" in imports:
             pending += [one for one in files if one.startswith(f"{name}.")]
     return {hashlib.sha256(f"{name} {text}".encode()).hexdigest()[:8] for name, text in found.items()}
 
@@ -56,7 +56,7 @@ def digests(modules: Sequence[str], files: Mapping[str, bytes]) -> set[str]:
 @functools.cache
 def _parsed(source: bytes) -> tuple[str, Sequence[str]]:
     """Return a module's code without its comments and docstrings, and the names that it imports."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     return ast.dump(_WithoutTexts().visit(tree)), imported_names(tree)
 
 

@@ -12,6 +12,7 @@ from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
 from pipeline.workflow.stage import Upstream
+from tasks.discovery import FAILURES
 
 
 class DrivenStudy:
@@ -81,9 +82,10 @@ def settings_of(record: StudyRecord) -> Settings:
         return Settings.model_validate(record.settings)
     except ValidationError as error:
         first = error.errors()[0]
+        why = "; ".join([f"{'.'.join(map(str, first['loc']))}: {first['msg']}", *FAILURES])
         raise PuddleError(
-            f"study {record.name}: expected settings of this version of puddle, got those of another "
-            f"({'.'.join(map(str, first['loc']))}: {first['msg']}). The version that made the study can read them."
+            f"study {record.name}: expected settings of this version of puddle, got those of another ({why}). "
+            "The version that made the study can read them."
         ) from None
 
 

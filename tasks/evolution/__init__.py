@@ -3,9 +3,7 @@
 Each search is one file, which registers it; see :mod:`tasks.evolution.search`.
 """
 
-import importlib
-import pkgutil
-
+from tasks.discovery import import_extensions
 from tasks.evolution.afpo import Afpo, select
 from tasks.evolution.breeding import OPERATORS
 from tasks.evolution.objectives import (
@@ -33,5 +31,4 @@ from tasks.evolution.search import (
 )
 from tasks.evolution.trial import History, Trial, evolve, history_units
 
-for _module in pkgutil.iter_modules(__path__):
-    importlib.import_module(f"{__name__}.{_module.name}")  # a search registers itself when imported
+import_extensions(__name__, __path__)

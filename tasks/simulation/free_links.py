@@ -7,7 +7,7 @@ from tasks.compiled import compiled
 from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION, Column
 from tasks.simulation.simd import rotation
 from tasks.simulation.simd.lanes import Block
-from tasks.world.medium import LinkStates, Medium
+from tasks.world.medium import LinkStates, Medium, change_in
 from tasks.world.physics import Physics
 
 _N_LANES = 16
@@ -51,7 +51,7 @@ class FreeLinks:
             length, mass, inertia = self._constants
             vx, vy, omega = velocity.T
             links = LinkStates(length, mass, inertia, state[:, Column.Y], cos, sin, vx, vy, omega)
-            change = medium.velocity_change(links, self._physics)
+            change = change_in(medium, links, self._physics)
             velocity = (velocity + np.stack((change.vx, change.vy, change.omega), axis=1)).astype(np.float32)
         dt = np.float32(self._physics.time_step)
         vx, vy, omega = velocity.T

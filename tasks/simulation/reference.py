@@ -21,6 +21,7 @@ from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column
 from tasks.simulation.controller import Controllers, fastest
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
+from tasks.world.medium import change_in
 
 _COLLIDES_WITH_GROUND_ONLY = {"groupIndex": -1}
 """Filter of links that pass through each other: fixtures of one negative group never collide. The ground is in none."""
@@ -229,4 +230,4 @@ def _push(
         for of_design in (designs.length_scale.astype(np.float32), trees.mass, trees.inertia)
     )
     states = LinkStates(length, mass, inertia, y, placed.cos, placed.sin, vx, vy, omega)
-    links.push(placed, medium.velocity_change(states, physics))
+    links.push(placed, change_in(medium, states, physics))

@@ -3,9 +3,7 @@
 Each medium is one file, which registers its environment; see :mod:`tasks.world.registry`.
 """
 
-import importlib
-import pkgutil
-
+from tasks.discovery import import_extensions
 from tasks.world.dry_land import DryLand
 from tasks.world.environment import Environment, Pool
 from tasks.world.medium import EnsembleMedium, LinkStates, Medium, VelocityChange
@@ -15,5 +13,4 @@ from tasks.world.registry import ENVIRONMENTS, EnvironmentName
 from tasks.world.residual_slush import ResidualSlush, as_environment, environment_kind, in_order
 from tasks.world.slush import Slush, TrueSlush
 
-for _module in pkgutil.iter_modules(__path__):
-    importlib.import_module(f"{__name__}.{_module.name}")  # a medium registers its environment when imported
+import_extensions(__name__, __path__)

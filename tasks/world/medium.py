@@ -7,7 +7,10 @@ residual of a step is an exact function of the state, and the joints are solved 
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from tasks.arrays import ArrayData, Floats
+from tasks.discovery import located
 from tasks.world.physics import Physics
 
 
@@ -45,6 +48,25 @@ class Medium(Protocol):
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Return the change over one step of ``physics.time_step``, in the precision of the arrays."""
         ...
+
+
+class MediumError(ValueError):
+    """A medium gave no velocity change; the message begins with its file and line."""
+
+
+def change_in(medium: Medium, links: LinkStates, physics: Physics) -> VelocityChange:
+    """Return a medium's velocity change, in arrays of the links' shape; raise MediumError if it gives none."""
+    try:
+        change = medium.velocity_change(links, physics)
+        if not isinstance(change, VelocityChange):
+            raise TypeError(f"velocity_change: expected a VelocityChange, got {type(change).__name__}")
+        shape = links.y.shape
+        parts = (change.vx, change.vy, change.omega)
+        return VelocityChange(*(part if np.shape(part) == shape else np.broadcast_to(part, shape) for part in parts))
+    except Exception as error:
+        code = getattr(medium.velocity_change, "__code__", None)
+        place = f"{code.co_filename}:{code.co_firstlineno}" if code else type(medium).__name__
+        raise MediumError(located(error, type(medium).__module__, place)) from error
 
 
 class EnsembleMedium(Medium, Protocol):

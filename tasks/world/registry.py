@@ -92,7 +92,11 @@ def register_medium(name: str, medium: type[Parameters], label: str, *, symbol: 
         label: name for readers.
         symbol: symbol in tables; by default the first letter of the label.
         about: what it is, in a sentence, for a page.
+
+    Raises:
+        ValueError: the name is taken, or a field of the medium has no default or one that it refuses.
     """
+    medium()
     register(
         EnvironmentKind(
             name=name,

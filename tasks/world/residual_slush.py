@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
+from tasks.discovery import FAILURES
 from tasks.world.environment import Environment, Pool
 from tasks.world.medium import EnsembleMedium, Medium
 from tasks.world.registry import ENVIRONMENTS, EnvironmentKind, register
@@ -121,10 +122,8 @@ def as_environment(given: Environment | Medium | str, depth: float | None = None
     if isinstance(given, str):
         media = {name: kind for name, kind in ENVIRONMENTS.items() if not kind.learned}
         if given not in media:
-            raise ValueError(
-                f"environment: expected one of {', '.join(media)}, or ResidualSlush(depth, ensemble) for networks, got "
-                f"{given!r}"
-            )
+            said = f"expected one of {', '.join(media)}, or ResidualSlush(depth, ensemble) for networks, got {given!r}"
+            raise ValueError("; ".join([f"environment: {said}", *FAILURES]))
         kind = media[given]
         settings = kind.for_study(kind.settings(), 1) if kind.settings else None
         return kind.environment(depth, {str(kind.settings_group): settings})

@@ -1,8 +1,6 @@
 """Objectives of evolution. Each is one file in this folder, which registers it."""
 
-import importlib
-import pkgutil
-
+from tasks.discovery import import_extensions
 from tasks.evolution.objectives.evaluation import (
     OBJECTIVES,
     PAPERS_OBJECTIVE,
@@ -16,5 +14,4 @@ from tasks.evolution.objectives.evaluation import (
     register_objective,
 )
 
-for _module in pkgutil.iter_modules(__path__):
-    importlib.import_module(f"{__name__}.{_module.name}")  # an objective registers itself when imported
+import_extensions(__name__, __path__)

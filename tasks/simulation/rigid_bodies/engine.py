@@ -15,7 +15,7 @@ from tasks.simulation.rigid_bodies.layout import ROBOT, Records
 from tasks.simulation.rigid_bodies.packing import body_index, pack
 from tasks.simulation.trees.layout import QUANTITIES
 from tasks.simulation.trees.step import Scene
-from tasks.world.medium import LinkStates, Medium
+from tasks.world.medium import LinkStates, Medium, change_in
 from tasks.world.physics import Physics
 
 _advance = compiled(step.advance_robots, seconds=12)
@@ -88,7 +88,7 @@ class Robots:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""
         links = self.records["links"].reshape(self._shape)
         states = LinkStates(**{name: np.ascontiguousarray(links[name]) for name in QUANTITIES})
-        change = medium.velocity_change(states, self._physics)
+        change = change_in(medium, states, self._physics)
         of_body = body_change(self._rigid, links["lever_x"], links["lever_y"], change)
         bodies = self.records["bodies"].reshape(*self._shape[:2], self.records["bodies"].shape[1])
         design, link = np.nonzero(self._rigid.is_first)

@@ -13,7 +13,7 @@ from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.simd.lanes import Block
 from tasks.simulation.trees import layout, packing, step
 from tasks.simulation.trees.step import Scene
-from tasks.world.medium import LinkStates, Medium
+from tasks.world.medium import LinkStates, Medium, change_in
 from tasks.world.physics import Physics
 
 advance_kernel = compiled(step.advance, seconds=12)
@@ -108,7 +108,7 @@ class Groups:
         states = self._states(*layout.QUANTITIES.values())
         states = states.reshape(len(layout.QUANTITIES), self._n_members, -1, N_LINKS)
         links = LinkStates(**dict(zip(layout.QUANTITIES, states, strict=True)))
-        change = medium.velocity_change(links, self._physics)
+        change = change_in(medium, links, self._physics)
         velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
         for row, velocity in zip((layout.VX, layout.VY, layout.OMEGA), velocities, strict=True):
             of_lane = velocity.astype(np.float32).reshape(self.n_robots, N_LINKS)[self._robot_of_lane]

@@ -1,0 +1,58 @@
+"""A medium of a user's own that fails: one line where it is used, and nothing elsewhere."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+HONEY = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), flags=re.DOTALL)
+
+
+@pytest.fixture
+def called(tmp_path):
+    """Run the command line in a copy of the sources whose medium honey has an edit."""
+    for package in ("tasks", "pipeline"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def call(old: str, new: str, *arguments: str) -> tuple[int, str]:
+        assert HONEY and HONEY[1].count(old) == 1
+        (tmp_path / "tasks/world/honey.py").write_text(HONEY[1].replace(old, new))
+        command = [sys.executable, "-m", "pipeline", *arguments]
+        environment = {**os.environ, "PYTHONPATH": ""}
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        return done.returncode, done.stderr
+
+    return call
+
+
+DESIGN = str(ROOT / "docs" / "design.json")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("simulate", DESIGN, "--environment", "honey", "--depth", "9"),
+        ("study", "--preset", "smoke", "--set", "target=honey"),
+    ],
+    ids=["simulate", "study"],
+)
+def test_a_medium_that_fails_is_one_line(called, tmp_path, command):
+    for old, new, line in (("(self, links", "((self, links", 18), ("links.y <", "links.height <", 20)):
+        code, said = called(old, new, *command)
+        (last,) = [one for one in said.splitlines() if not one.startswith("compiling")]
+        assert code == 2 and f"{tmp_path}/tasks/world/honey.py:{line}: " in last
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("settings", "--preset", "smoke"), ("simulate", DESIGN, "--environment", "dry_land", "--depth", "9")],
+    ids=["settings", "simulate"],
+)
+def test_other_commands_work(called, command):
+    code, said = called("(self, links", "((self, links", *command)
+    assert code == 0 and "honey" not in said

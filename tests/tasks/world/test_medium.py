@@ -1,0 +1,54 @@
+"""A medium of a user's own: what it returns fits the links, or an error names its file and line."""
+
+import numpy as np
+import pytest
+
+import puddle
+from tasks.simulation.free_links import FreeLinks
+from tasks.world import LinkStates, Physics, Pool, VelocityChange
+from tasks.world.medium import MediumError, change_in
+
+LINKS = LinkStates(*np.ones((9, 1, 2, 6), np.float32))
+
+
+def medium_of(change):
+    return type("Honey", (), {"velocity_change": lambda self, links, physics: change(links), "__module__": __name__})()
+
+
+def test_numbers_are_of_all_links():
+    change = change_in(medium_of(lambda links: VelocityChange(0.5, -links.vy, 0)), LINKS, Physics())
+    assert [part.shape for part in (change.vx, change.vy, change.omega)] == [LINKS.y.shape] * 3
+    assert (change.vx == 0.5).all() and change.vy.dtype == np.float32
+
+
+EXPECTED = "TypeError: velocity_change: expected a VelocityChange, got"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda links: (links.vx, links.vy), f"{EXPECTED} tuple"),
+        (lambda links: 0.0, f"{EXPECTED} float"),
+        (lambda links: VelocityChange(links.x, 0, 0), "AttributeError: 'LinkStates' object has no attribute 'x'"),
+        (lambda links: VelocityChange(np.zeros(5), 0, 0), r"ValueError: .* requested shape \(1,2,6\)"),
+    ],
+    ids=["tuple", "number", "attribute", "shape"],
+)
+def test_anything_else_is_an_error_that_names_the_line(change, said):
+    """That of the mistake, or of velocity_change where the medium itself did not fail."""
+    code = change.__code__ if said.startswith("Attribute") else medium_of(change).velocity_change.__code__
+    with pytest.raises(MediumError, match=f"^{__file__}:{code.co_firstlineno}: {said}"):
+        change_in(medium_of(change), LINKS, Physics())
+
+
+@pytest.mark.parametrize("engine", ["batch", "reference"])
+@pytest.mark.parametrize("physics", [Physics(), Physics(link_collisions=True)], ids=["trees", "rigid bodies"])
+def test_every_engine_says_so(engine, physics):
+    design, home = puddle.random_designs(1, np.random.default_rng(0)), Pool(1.0, medium_of(lambda links: 0.0))
+    with pytest.raises(MediumError, match="got float"):
+        puddle.simulate(design, home, n_settle=0, n_measure=1, engine=engine, physics=physics)
+
+
+def test_throws_say_so():
+    with pytest.raises(MediumError, match="got float"):
+        FreeLinks(np.ones(3), Physics()).step(np.zeros((3, 6), np.float32), medium_of(lambda links: 0.0))
