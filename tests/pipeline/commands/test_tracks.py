@@ -1,5 +1,6 @@
 """puddle collect --tracks: a data set of tracked throws, its key, and what is refused before anything is written."""
 
+import gzip
 import shutil
 from pathlib import Path
 
@@ -75,6 +76,16 @@ def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_pa
     for change in ({"length_unit": "mm"}, {"fit": "steps"}):
         other = settings.model_copy(update={"tracks": settings.tracks.model_copy(update=change)})
         assert keys(other) != keys(settings)
+
+
+def test_a_compressed_file_has_the_key_of_its_content(collected, tmp_path) -> None:
+    folder, _ = collected
+    settings = open_study("tank", folder / "store").settings
+    (tmp_path / "tracks.csv.gz").write_bytes(gzip.compress((folder / "tracks.csv").read_bytes()))
+    shutil.copy(folder / "tracks-bars.csv", tmp_path / "tracks-bars.csv")
+    assert keys(with_tracks(settings, tmp_path / "tracks.csv.gz")) == keys(settings)
+    (tmp_path / "tracks-bars.csv").rename(tmp_path / "tracks.csv-bars.csv")
+    assert keys(with_tracks(settings, tmp_path / "tracks.csv.gz")) == keys(settings)
 
 
 def test_the_file_may_be_named_beside_other_settings_of_tracks(collected) -> None:
