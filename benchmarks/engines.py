@@ -18,10 +18,10 @@ from benchmarks import obvious
 from benchmarks.measure import Benchmark, seconds
 from tasks.design import Designs, Morphology, random_designs
 from tasks.design.body import kinematic_trees, rigid_bodies
+from tasks.simd.lanes import widest
 from tasks.simulation import batch, reference, simulate
 from tasks.simulation.controller import Controllers
 from tasks.simulation.rigid_bodies.engine import Robots
-from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees.groups import Groups
 from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
 
@@ -76,13 +76,13 @@ def _batch(designs: Designs, environment: Environment) -> float:
     scene = batch.scene_of(environment, _PHYSICS)
     taken = 0.0
     for _ in range(_N_GENERATIONS):
-        groups = Groups(designs, _PHYSICS, n_members=1, n_lanes=WIDEST)
+        groups = Groups(designs, _PHYSICS, environment.medium, n_members=1, n_lanes=WIDEST)
         taken += seconds(partial(groups.advance, scene, 0, N_STEPS, None))
     return taken / _N_GENERATIONS / N_DESIGNS / N_STEPS * 1e6
 
 
 def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
-    robots = Robots(designs, environment.depth, AS_BUILT, n_members=1)
+    robots = Robots(designs, environment.depth, AS_BUILT, environment.medium, n_members=1)
     scene = batch.scene_of(environment, AS_BUILT)
     return seconds(lambda: robots.advance(scene, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
 
@@ -176,7 +176,7 @@ def packing() -> list[Benchmark]:
     """Time the packing of 64 designs, repeated and once after rollouts as in a study, as a share of the rollouts."""
     population, environment = designs(), TrueSlush(9.0)
     scene = batch.scene_of(environment, _PHYSICS)
-    pack = partial(Groups, population, _PHYSICS, n_members=1, n_lanes=WIDEST)
+    pack = partial(Groups, population, _PHYSICS, environment.medium, n_members=1, n_lanes=WIDEST)
     again, once = [], []
     for _ in range(N_ROUNDS):
         groups = pack()

@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Any, TypeVar, cast
 
 import numba
+import numba.extending
 from numba.core.caching import NullCache
 
 from tasks import kernel_cache
@@ -50,6 +51,24 @@ def compiled(function: Callable[..., Any], *, seconds: int) -> Callable[..., Any
     kernel._cache = _Cache(function)
     KERNELS[function] = seconds
     return cast(Callable[..., Any], kernel)
+
+
+def entry(kernel: Any, *arguments: Any) -> Any:
+    """Compile a kernel for arguments such as the given ones, and return its address, which kernels call it by.
+
+    Without the compiler it is the function itself.
+    """
+    if numba.config.DISABLE_JIT:
+        return kernel
+    types = tuple(map(numba.typeof, arguments))
+    kernel.compile(types)
+    compiled_for = kernel.overloads[types]
+    return compiled_for.library.get_pointer_to_function(compiled_for.fndesc.llvm_func_name)
+
+
+def formula(function: F) -> F:
+    """Mark a function that Python calls as it stands, and kernels compile into themselves: one text for both."""
+    return cast(F, numba.extending.register_jitable(forceinline=True, error_model="numpy")(function))
 
 
 def inline(function: F) -> F:

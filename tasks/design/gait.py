@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tasks.arrays import Float64
+from tasks.compiled import formula
 from tasks.design.genes import Designs
 
 RangeOfMotion = Literal["amplitude", "peak_to_peak"]  # what a joint's range of motion is of its oscillation
@@ -29,11 +30,12 @@ def gaits_of(designs: Designs, range_of_motion: RangeOfMotion = "amplitude") -> 
     return np.stack([_SHARE[range_of_motion] * designs.motion_range, designs.phase / TURN])
 
 
+@formula
 def swing(gait: Any, periods: Any, sine: Callable[[Any], Any]) -> Any:
     """Return the angles from rest that gaits command [rad].
 
     Args:
-        gait: N_NUMBERS numbers by index; each a number, an array, or SIMD lanes in a kernel, which compiles this too.
+        gait: N_NUMBERS numbers by index; each a number, an array, or SIMD lanes in a kernel.
         periods: f t, time in periods of the gait.
         sine: sine of an angle in turns, in the precision of both.
     """

@@ -18,6 +18,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Float64, Int64
 from tasks.compiled import compiled, inline
+from tasks.simd.lanes import aligned
 from tasks.simulation.networks.panels import padded
 from tasks.simulation.networks.tiles import (
     N_LANES,
@@ -32,7 +33,6 @@ from tasks.simulation.networks.tiles import (
     multiply_half_tile,
     multiply_tile,
 )
-from tasks.simulation.simd.lanes import aligned
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8  # AdamW's decay of the moments, and torch's ε
 N_SUMS = 16  # partial sums of a gradient: the lanes of the widest registers

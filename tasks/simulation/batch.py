@@ -12,14 +12,15 @@ import numpy as np
 
 from tasks.compiled import KERNELS
 from tasks.design.genes import N_LINKS, Designs
+from tasks.simd.lanes import widest
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
 from tasks.simulation.controller import fastest
+from tasks.simulation.fluids import is_compiled
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.rigid_bodies.engine import Robots
-from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees.groups import Groups
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
-from tasks.world import Environment, Medium, Physics, Slush
+from tasks.world import Environment, Physics
 
 
 def needed_kernels(physics: Physics) -> list[Callable[..., Any]]:
@@ -28,17 +29,10 @@ def needed_kernels(physics: Physics) -> list[Callable[..., Any]]:
     return [function for function in KERNELS if f".{unused}." not in function.__module__]
 
 
-def _is_built_in(medium: Medium | None) -> bool:
-    """Return whether the kernels compute the medium themselves; a subclass of Slush may differ from slush."""
-    return type(medium) is Slush
-
-
 def scene_of(environment: Environment, physics: Physics) -> Scene:
     """Round the constants that all robots share to float32, as Box2D and NumPy do with their arguments."""
     single = np.float32
     dt = single(physics.time_step)
-    medium = environment.medium
-    slush = medium if isinstance(medium, Slush) else Slush()
     friction = single(physics.friction)
     return Scene(
         dt=dt,
@@ -52,11 +46,6 @@ def scene_of(environment: Environment, physics: Physics) -> Scene:
         velocity_iterations=physics.velocity_iterations,
         position_iterations=physics.position_iterations,
         n_links=N_LINKS,
-        slush=_is_built_in(medium),
-        drag=single(0.5 * slush.density * slush.linear_drag * physics.time_step),
-        angular_drag=single(slush.density * slush.angular_drag * physics.time_step),
-        lift=single(slush.density * physics.gravity * physics.time_step),
-        by_component=slush.drag == "by_component",
     )
 
 
@@ -82,7 +71,7 @@ def roll_out(
 ) -> Motion:
     """Return the motion of designs in an environment.
 
-    The kernels compute slush themselves, and networks that a medium offers as its attribute ``networks``; they take all
+    Kernels compute a fluid by its law, and networks that a medium offers as its attribute ``networks``; they take all
     steps in one call. Any other medium is called in each step, for all links of all robots together. The arguments are
     those of :func:`tasks.simulation.rollout.simulate`, and the lanes of a group, on which results do not depend.
     """
@@ -91,9 +80,9 @@ def roll_out(
     networks: PackedNetworks | None = getattr(medium, "networks", None)
     robots: Groups | Robots
     if _needs_rigid_bodies(physics):
-        robots = Robots(designs, environment.depth, physics, n_members=n_members)
+        robots = Robots(designs, environment.depth, physics, medium, n_members=n_members)
     else:
-        robots = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes or widest())
+        robots = Groups(designs, physics, medium, n_members=n_members, n_lanes=n_lanes or widest())
     scene = scene_of(environment, physics)
     n_steps = n_settle + n_measure
     shape = (n_members, len(designs))
@@ -106,7 +95,7 @@ def roll_out(
             scene = scene._replace(motor_work=motor_work)
         if networks is not None and not trace:
             robots.advance_with_networks(networks, scene, first, last - first)
-        elif medium is not None and not _is_built_in(medium):
+        elif medium is not None and not is_compiled(medium):
             for step in range(first, last):
                 robots.push(medium)
                 robots.advance(scene, step, 1, None if states is None else states[:, step : step + 1])

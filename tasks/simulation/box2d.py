@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.arrays import Float32
+from tasks.compiled import formula
+from tasks.simd.lanes import Numeric, any_lane, select, sqrt
 
 GROUND_HALF_WIDTH = 10_000.0  # [m]; far wider than any robot gets in a rollout
 GROUND_HALF_HEIGHT = 10.0  # [m]; far thicker than any link moves in a step (Box2D allows 2 m), so nothing tunnels
@@ -22,6 +24,19 @@ MAX_ROTATION = np.float32(0.5) * np.float32(3.14159265359)  # b2_maxRotation [ra
 MAX_ROTATION_SQUARED = MAX_ROTATION * MAX_ROTATION
 LINEAR_SLOP_SQUARED = np.float32(2.5000001e-05)
 """Largest float32 whose square root, in float32, is at most the slop [m²]; it spares a kernel the root."""
+
+
+@formula
+def limited(vx: Numeric, vy: Numeric, omega: Numeric, dt: np.float32) -> tuple[Numeric, Numeric, Numeric]:
+    """Limit velocities to Box2D's farthest translation and rotation in a step (b2Island::Solve)."""
+    translation_x, translation_y, rotation = dt * vx, dt * vy, dt * omega
+    squared = translation_x * translation_x + translation_y * translation_y
+    too_far, too_much = squared > MAX_TRANSLATION * MAX_TRANSLATION, rotation * rotation > MAX_ROTATION_SQUARED
+    if any_lane(too_far | too_much):
+        ratio = MAX_TRANSLATION / sqrt(squared)
+        vx, vy = select(too_far, vx * ratio, vx), select(too_far, vy * ratio, vy)
+        omega = select(too_much, omega * (MAX_ROTATION / abs(rotation)), omega)
+    return vx, vy, omega
 
 
 class Column:

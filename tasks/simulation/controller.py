@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from tasks.arrays import Bools, Float32
-from tasks.compiled import inline
+from tasks.compiled import formula
 from tasks.design.gait import RangeOfMotion, gaits_of, swing
 from tasks.design.genes import Designs
-from tasks.simulation.simd.lanes import Numeric, floor, select
+from tasks.simd.lanes import Numeric, floor, select
 from tasks.world.physics import Physics
 
 _QUARTER, _HALF = np.float32(0.25), np.float32(0.5)
@@ -26,6 +26,7 @@ _C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in (6.283185, -41.341656, 81.601,
 """Coefficients of the odd powers of r in sin(2π r) for |r| ≤ 1/4: least squares on Chebyshev nodes, error 2e-7."""
 
 
+@formula
 def sine_of_turns(turns: Numeric) -> Numeric:
     """Compute the sine of angles in turns, float32 numbers or lanes; the absolute error is below 3e-7."""
     r = turns - floor(turns + _HALF)
@@ -35,13 +36,18 @@ def sine_of_turns(turns: Numeric) -> Numeric:
     return select(r < 0.0, -sine, sine)
 
 
-_swing, _sine_of_turns = inline(swing), inline(sine_of_turns)
-
-
-@inline
+@formula
 def target_angle(gait: Any, rest_angle: Numeric, periods: Numeric) -> Numeric:
-    """Return the target angles of :class:`Controllers` in a kernel, of numbers or lanes [rad]."""
-    return rest_angle + _swing(gait, periods, _sine_of_turns)
+    """Return the target angles of joints, by f t, time in periods of their gaits [rad]."""
+    return rest_angle + swing(gait, periods, sine_of_turns)
+
+
+@formula
+def motor_speed(target: Numeric, joint_angle: Numeric, gain: Numeric, limit: Numeric) -> Numeric:
+    """Return the motor speed gain · (θ* - θ), within its limit [rad/s]."""
+    wanted = gain * (target - joint_angle)
+    below = select(wanted > limit, limit, wanted)
+    return select(below < -limit, -limit, below)
 
 
 def fastest(physics: Physics) -> np.float32:
@@ -73,5 +79,5 @@ class Controllers:
     def target_angle(self, step: int, time_step: float) -> Float32:
         """Compute the target angles between child and parent in a step; (n_designs, n_links) [rad]."""
         time = np.float32(step) * np.float32(time_step)
-        angle: Float32 = self.rest_angle + swing(self.gait, self.frequency * time, sine_of_turns)
+        angle: Float32 = target_angle(self.gait, self.rest_angle, self.frequency * time)
         return angle

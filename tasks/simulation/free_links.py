@@ -4,9 +4,9 @@ import numpy as np
 
 from tasks.arrays import Float32, Floats
 from tasks.compiled import compiled
-from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION, Column
-from tasks.simulation.simd import rotation
-from tasks.simulation.simd.lanes import Block
+from tasks.simd import rotation
+from tasks.simd.lanes import Block
+from tasks.simulation.box2d import Column, limited
 from tasks.world.medium import LinkStates, Medium, change_in
 from tasks.world.physics import Physics
 
@@ -57,13 +57,6 @@ class FreeLinks:
         vx, vy, omega = velocity.T
         vy = vy + dt * np.float32(-self._physics.gravity)
 
-        # b2Island::Solve: limit the velocities, then move.
-        squared, turned = (dt * vx) * (dt * vx) + (dt * vy) * (dt * vy), dt * omega
-        ratio = MAX_TRANSLATION / np.sqrt(np.maximum(squared, MAX_TRANSLATION))
-        too_far = squared > MAX_TRANSLATION * MAX_TRANSLATION
-        vx, vy = np.where(too_far, vx * ratio, vx), np.where(too_far, vy * ratio, vy)
-        too_much = turned * turned > MAX_ROTATION_SQUARED
-        turn = MAX_ROTATION / np.maximum(abs(turned), np.float32(1))
-        omega = np.where(too_much, omega * turn, omega)
-        velocity = np.stack((vx, vy, omega), axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of links at rest, where another is too fast
+            velocity = np.stack(limited(vx, vy, omega, dt), axis=1)
         return np.concatenate((state[:, : Column.ANGLE + 1] + dt * velocity, velocity), axis=1)

@@ -1,17 +1,20 @@
 """Links fused to rigid bodies: states of links from the states of their bodies, and changes of bodies from their links.
 
 A body's state is that of Box2D: position of its origin (its first link's centre), angle, velocity of its centre of
-mass, angular velocity. All arithmetic is float32, in the order that is written here, so that the batch engine can
-repeat it; parentheses matter. A link that is a body by itself keeps every bit of its state.
+mass, angular velocity. All arithmetic is float32, in the order that is written here, for arrays and for the batch
+engine; parentheses matter. A link that is a body by itself keeps every bit of its state.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tasks.arrays import Float32, Floats
+from tasks.compiled import formula
 from tasks.design.body import RigidBodies
 from tasks.design.genes import N_LINKS
+from tasks.simd.lanes import Numeric
 from tasks.world.medium import VelocityChange
 
 
@@ -26,6 +29,34 @@ class PlacedLinks:
     lever_y: Floats  # (...) the same along y [m]
 
 
+@formula
+def _rotated(cos: Numeric, sin: Numeric, x: Numeric, y: Numeric) -> tuple[Numeric, Numeric]:
+    return cos * x - sin * y, sin * x + cos * y
+
+
+@formula
+def placed(
+    body: tuple[Numeric, ...], cos: Numeric, sin: Numeric, local: tuple[Numeric, ...], lever: tuple[Numeric, Numeric]
+) -> tuple[tuple[Numeric, ...], ...]:
+    """Return a link's state, the cosine and sine of its angle, and its lever; see :func:`place_links`.
+
+    ``local`` is the link's x, y, angle, and the angle's cosine and sine, in the body's frame; so is ``lever``.
+    """
+    x, y, angle, vx, vy, omega = body
+    local_x, local_y, local_angle, local_cos, local_sin = local
+    lever_x, lever_y = _rotated(cos, sin, lever[0], lever[1])
+    from_origin_x, from_origin_y = _rotated(cos, sin, local_x, local_y)
+    pose = x + from_origin_x, y + from_origin_y, angle + local_angle
+    velocity = vx - omega * lever_y, vy + omega * lever_x, omega
+    return pose + velocity, _rotated(cos, sin, local_cos, local_sin), (lever_x, lever_y)
+
+
+@formula
+def turned(link: Any, lever: tuple[Numeric, Numeric], vx: Numeric, vy: Numeric, omega: Numeric) -> Numeric:
+    """Return the change of a body's angular velocity by the velocity changes of a link; see :func:`body_change`."""
+    return link.mass_over_inertia * (lever[0] * vy - lever[1] * vx) + link.inertia_share * omega
+
+
 def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> PlacedLinks:
     """Return the states of links by those of their bodies.
 
@@ -36,14 +67,9 @@ def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> 
     ``body`` is the (n_members, n_designs, n_links, 6) state of each link's body, ``cos`` and ``sin`` those of its angle
     with Box2D's bits.
     """
-    lever_x = cos * rigid.lever_x - sin * rigid.lever_y
-    lever_y = sin * rigid.lever_x + cos * rigid.lever_y
-    x, y, angle, vx, vy, omega = np.moveaxis(body, -1, 0)
-    x, y = x + (cos * rigid.x - sin * rigid.y), y + (sin * rigid.x + cos * rigid.y)
-    velocity = vx - omega * lever_y, vy + omega * lever_x, omega
-    state = np.stack((x, y, angle + rigid.angle, *velocity), axis=-1, dtype=np.float32)
-    link_cos, link_sin = cos * rigid.cos - sin * rigid.sin, sin * rigid.cos + cos * rigid.sin
-    return PlacedLinks(state, link_cos, link_sin, lever_x, lever_y)
+    local = rigid.x, rigid.y, rigid.angle, rigid.cos, rigid.sin
+    state, direction, lever = placed(tuple(np.moveaxis(body, -1, 0)), cos, sin, local, (rigid.lever_x, rigid.lever_y))
+    return PlacedLinks(np.stack(state, axis=-1, dtype=np.float32), *direction, *lever)
 
 
 def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: VelocityChange) -> VelocityChange:
@@ -56,7 +82,7 @@ def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: Ve
 
     summed from 0 over the body's links in the order of their indices. All are (n_members, n_designs, n_links).
     """
-    turn = rigid.mass_over_inertia * (lever_x * change.vy - lever_y * change.vx) + rigid.inertia_share * change.omega
+    turn = turned(rigid, (lever_x, lever_y), change.vx, change.vy, change.omega)
     return VelocityChange(
         vx=_summed(rigid, rigid.mass_share * change.vx),
         vy=_summed(rigid, rigid.mass_share * change.vy),

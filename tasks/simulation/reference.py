@@ -18,7 +18,7 @@ from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column, Motion
-from tasks.simulation.controller import Controllers, fastest
+from tasks.simulation.controller import Controllers, fastest, motor_speed
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
 from tasks.world.medium import change_in
@@ -210,11 +210,11 @@ def _command_motors(
 ) -> None:
     """Set the speed of each motor that is on to gain · (θ* - θ), within its limit."""
     angle = state[..., Column.ANGLE]
-    error = controllers.target_angle(step, physics.time_step) - _relative(angle, trees)
-    limit = fastest(physics)
-    speed = np.clip(np.float32(physics.motor_gain) * error, -limit, limit).reshape(len(robots), N_LINKS).tolist()
+    target, joint_angle = controllers.target_angle(step, physics.time_step), _relative(angle, trees)
+    speed = motor_speed(target, joint_angle, np.float32(physics.motor_gain), fastest(physics))
+    speeds_of_robots = speed.reshape(len(robots), N_LINKS).tolist()
     on = np.broadcast_to(controllers.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
-    for robot, speeds, flags in zip(robots, speed, on, strict=True):
+    for robot, speeds, flags in zip(robots, speeds_of_robots, on, strict=True):
         for link, joint in robot.joints.items():
             if flags[link]:
                 joint.motorSpeed = speeds[link]

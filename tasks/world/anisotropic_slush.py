@@ -8,14 +8,14 @@ of it.
 
 from pydantic import Field
 
-from tasks.parameters import Parameters
-from tasks.world.medium import LinkStates, VelocityChange
+from tasks.simd.lanes import Numeric
+from tasks.world.medium import Fluid, LinkStates
 from tasks.world.physics import Physics
 from tasks.world.registry import register_medium
 from tasks.world.slush import after_drag, submerged_part
 
 
-class AnisotropicSlush(Parameters):
+class AnisotropicSlush(Fluid):
     """A slush with two coefficients of linear drag."""
 
     density: float = Field(default=1.25, ge=0.0, le=1e4)
@@ -27,27 +27,27 @@ class AnisotropicSlush(Parameters):
     angular_drag: float = Field(default=20.0, ge=0.0, le=1e4)
     """C_dr; the slush's."""
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Compute the change by drag and then buoyancy over one step.
+    def factors(self, physics: Physics) -> tuple[float, ...]:
+        """Return ½ ρ C_l dt, ½ ρ C_w dt, ρ C_dr dt and ρ g dt."""
+        dt, density = physics.time_step, self.density
+        along, across = 0.5 * density * self.drag_along * dt, 0.5 * density * self.drag_across * dt
+        return along, across, density * self.angular_drag * dt, density * physics.gravity * dt
+
+    @staticmethod
+    def law(factors: Numeric, links: LinkStates) -> tuple[Numeric, Numeric, Numeric]:
+        """Return the changes by drag and then buoyancy.
 
         Drag acts on the velocity v_l along the long axis (-sin θ, cos θ) and v_w across it, each by itself:
         dv_l/dt = -½ ρ C_l A_s / m |v_l| v_l, and v_w alike.
         """
-        dt = physics.time_step
-        area, second_moment = submerged_part(links.length_scale, links.y, links.cos, links.sin)
-        along = links.cos * links.vy - links.sin * links.vx
-        across = links.cos * links.vx + links.sin * links.vy
-        k_along = (0.5 * self.density * self.drag_along * dt) * area / links.mass
-        k_across = (0.5 * self.density * self.drag_across * dt) * area / links.mass
-        k_r_dt = (self.density * self.angular_drag * dt) * second_moment / links.inertia
-        lost_along = after_drag(along, k_along * abs(along)) - along
-        lost_across = after_drag(across, k_across * abs(across)) - across
-        lift = (self.density * physics.gravity * dt) * area / links.mass
-        return VelocityChange(
-            vx=links.cos * lost_across - links.sin * lost_along,
-            vy=links.sin * lost_across + links.cos * lost_along + lift,
-            omega=after_drag(links.omega, k_r_dt * abs(links.omega)) - links.omega,
-        )
+        cos, sin, mass, omega = links.cos, links.sin, links.mass, links.omega
+        area, second_moment = submerged_part(links.length_scale, links.y, cos, sin)
+        along, across = cos * links.vy - sin * links.vx, cos * links.vx + sin * links.vy
+        lost_along = after_drag(along, factors[0] * area / mass * abs(along)) - along
+        lost_across = after_drag(across, factors[1] * area / mass * abs(across)) - across
+        turned = after_drag(omega, factors[2] * second_moment / links.inertia * abs(omega))
+        lift = factors[3] * area / mass
+        return cos * lost_across - sin * lost_along, sin * lost_across + cos * lost_along + lift, turned - omega
 
 
 register_medium(

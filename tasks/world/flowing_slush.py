@@ -3,14 +3,13 @@
 A fluid to test the learner with, which knows nothing of currents. It carries along what does not swim.
 """
 
-from dataclasses import replace
-
 from pydantic import Field
 
-from tasks.world.medium import LinkStates, VelocityChange
+from tasks.simd.lanes import Numeric
+from tasks.world.medium import LinkStates
 from tasks.world.physics import Physics
 from tasks.world.registry import register_medium
-from tasks.world.slush import Slush
+from tasks.world.slush import Slush, slush_change
 
 
 class FlowingSlush(Slush):
@@ -19,9 +18,14 @@ class FlowingSlush(Slush):
     current: float = Field(default=0.5, ge=-10.0, le=10.0)
     """Velocity of the flow along x [m/s]."""
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Return the slush's change for velocities relative to the flow; adding the flow back changes none."""
-        return super().velocity_change(replace(links, vx=links.vx - self.current), physics)
+    def factors(self, physics: Physics) -> tuple[float, ...]:
+        """Return the slush's factors, and the current."""
+        return *super().factors(physics), self.current
+
+    @staticmethod
+    def law(factors: Numeric, links: LinkStates) -> tuple[Numeric, Numeric, Numeric]:
+        """Return the slush's changes for velocities relative to the flow; adding the flow back changes none."""
+        return slush_change(factors, links, links.vx - factors[4])
 
 
 register_medium("flowing_slush", FlowingSlush, "Flowing Slush", symbol="E⃗", about="Slush that flows steadily along x.")

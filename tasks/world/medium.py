@@ -4,13 +4,16 @@ The change is computed from the state at the start of a step and added before th
 residual of a step is an exact function of the state, and the joints are solved with the new velocities.
 """
 
+from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from tasks.arrays import ArrayData, Floats
 from tasks.discovery import located
+from tasks.parameters import Parameters
 from tasks.world.physics import Physics
 
 
@@ -67,6 +70,25 @@ def change_in(medium: Medium, links: LinkStates, physics: Physics) -> VelocityCh
         code = getattr(medium.velocity_change, "__code__", None)
         place = f"{code.co_filename}:{code.co_firstlineno}" if code else type(medium).__name__
         raise MediumError(located(error, type(medium).__module__, place)) from error
+
+
+class Fluid(Parameters):
+    """A medium given by a law, which the batch engine compiles into its kernels; its fields are its settings.
+
+    The law is one text for arrays and for the engine's lanes: operators, ``abs``, the functions of ``tasks.simd.lanes``
+    such as ``select`` in place of a branch, and formulas such as ``submerged_part``.
+    """
+
+    law: ClassVar[Callable[[Any, LinkStates], tuple[Any, Any, Any]]]
+    """Function from the factors, by index, and links to the changes of vx, vy [m/s] and ω [rad/s] in a step."""
+
+    @abstractmethod
+    def factors(self, physics: Physics) -> tuple[float, ...]:
+        """Return what the law needs of the fields and the physics."""
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        """Return the change over one step by the law."""
+        return VelocityChange(*self.law(self.factors(physics), links))
 
 
 class EnsembleMedium(Medium, Protocol):

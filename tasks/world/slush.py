@@ -4,21 +4,20 @@ The submerged part of a link is exact: a rectangle cut by a horizontal line. All
 is no buoyant torque, so nothing depends on the sign of a link's angle. The paper leaves open whether drag acts on the
 velocity or on its components: see :class:`DragLaw`.
 
-The functions compute in the precision of their arguments: float64 for the comparison with a polygon clipper, float32 in
-the reference engine. The batch engine repeats the same operations in the same order on lanes
-(tasks/simulation/trees/step.py).
+The formulas compute in the precision of their arguments: float64 for the comparison with a polygon clipper, float32 in
+the engines.
 """
 
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
-from tasks.arrays import Floats
+from tasks.compiled import formula
 from tasks.parameters import Parameters, later_choice
+from tasks.simd.lanes import Numeric, select, sqrt
 from tasks.world.environment import Environment
-from tasks.world.medium import LinkStates, Medium, VelocityChange
+from tasks.world.medium import Fluid, LinkStates, Medium
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
 
@@ -26,7 +25,15 @@ PAPERS_TARGET = "true_slush"  # the environment that champions are transferred t
 TINY = 1e-30  # replaces the rise of a level edge, whose submerged share is a step function of depth
 
 
-def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats]:
+@formula
+def _share(share: Numeric) -> Numeric:
+    """Clamp to [0, 1]."""
+    positive = select(share > 0.0, share, 0.0)
+    return select(positive < 1.0, positive, 1.0)
+
+
+@formula
+def submerged_part(length_scale: Numeric, y: Numeric, cos: Numeric, sin: Numeric) -> tuple[Numeric, Numeric]:
     """Compute the parts of rectangles, upright at angle 0, below the water line y = 0.
 
     A rectangle of height a and width 1/a is the unit square in coordinates along its edges from the lowest corner. One
@@ -51,13 +58,11 @@ def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) ->
     width = 1 / length_scale
     half_rise_short = abs(sin) * width / 2  # u
     half_rise_long = abs(cos) * length_scale / 2  # v
-    per_short = 0.5 / half_rise_short.clip(TINY)
-    per_long = 0.5 / half_rise_long.clip(TINY)
+    per_short = 0.5 / select(half_rise_short > TINY, half_rise_short, TINY)
+    per_long = 0.5 / select(half_rise_long > TINY, half_rise_long, TINY)
     depth = half_rise_short + half_rise_long - y  # D
-    t1 = (depth * per_short).clip(0, 1)
-    t2 = (depth * per_long).clip(0, 1)
-    t3 = ((depth - 2 * half_rise_short) * per_long).clip(0, 1)
-    t4 = ((depth - 2 * half_rise_long) * per_short).clip(0, 1)
+    t1, t2 = _share(depth * per_short), _share(depth * per_long)
+    t3, t4 = _share((depth - 2 * half_rise_short) * per_long), _share((depth - 2 * half_rise_long) * per_short)
     area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / 2
 
     # ∫P² dA = ∮ P³/3 dQ with P along the short axis and Q along the long one, both from the centre; and the reverse.
@@ -65,8 +70,8 @@ def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) ->
     q3, q2 = 2 * t3 - 1, 2 * t2 - 1
     across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / 4)
     along = length_scale * length_scale * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / 4)
-    second_moment = ((across + along) / 24).clip(0)
-    return area, second_moment
+    second_moment = (across + along) / 24
+    return area, select(second_moment > 0.0, second_moment, 0.0)
 
 
 class DragLaw(Parameters):
@@ -77,17 +82,37 @@ class DragLaw(Parameters):
     paper's k |v| v reads as the first, which does not depend on the choice of the axes."""
 
 
-def after_drag(velocity: Floats, lost: Floats) -> Floats:
+@formula
+def after_drag(velocity: Numeric, lost: Numeric) -> Numeric:
     """Return a velocity after a step of quadratic drag, which loses the share ``lost``, k |v| dt, at its first rate.
 
     This is the exact solution of dv/dt = -k |v| v. Explicit Euler would overshoot above 10 m/s and diverge above 19
-    m/s, and throws begin at up to 28 m/s. The batch engine has the same operations.
+    m/s, and throws begin at up to 28 m/s.
     """
     return velocity / (1 + lost)
 
 
-class Slush(DragLaw):
-    """The paper's slush."""
+@formula
+def slush_change(factors: Numeric, links: LinkStates, vx: Numeric) -> tuple[Numeric, Numeric, Numeric]:
+    """Return the changes of vx, vy and ω by drag and then buoyancy.
+
+    ``factors`` are those of :class:`Slush`, ``vx`` the velocity of the links relative to the slush [m/s].
+    """
+    drag, angular_drag, lift, by_component = factors[0], factors[1], factors[2], factors[3]
+    vy, omega = links.vy, links.omega
+    area, second_moment = submerged_part(links.length_scale, links.y, links.cos, links.sin)
+    k_dt, k_r_dt = drag * area / links.mass, angular_drag * second_moment / links.inertia
+    speed = sqrt(vx * vx + vy * vy)
+    speed_x, speed_y = select(by_component > 0.0, abs(vx), speed), select(by_component > 0.0, abs(vy), speed)
+    after_y = after_drag(vy, k_dt * speed_y) + lift * area / links.mass
+    return after_drag(vx, k_dt * speed_x) - vx, after_y - vy, after_drag(omega, k_r_dt * abs(omega)) - omega
+
+
+class Slush(DragLaw, Fluid):
+    """The paper's slush.
+
+    Drag is dv/dt = -k |v| v with k = ½ ρ C_dl A_s / m, and dω/dt = -k_r |ω| ω with k_r = ρ C_dr I_s / I.
+    """
 
     density: float = Field(default=1.25, ge=0.0, le=1e4)
     """ρ [kg/m²]. [P]"""
@@ -101,25 +126,20 @@ class Slush(DragLaw):
         """Whether the parameters are the paper's, however its drag law is read."""
         return self == Slush(drag=self.drag)
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Compute the change by drag and then buoyancy over one step.
-
-        Drag is dv/dt = -k |v| v with k = ½ ρ C_dl A_s / m, and dω/dt = -k_r |ω| ω with k_r = ρ C_dr I_s / I.
-        """
-        dt = physics.time_step
-        area, second_moment = submerged_part(links.length_scale, links.y, links.cos, links.sin)
-        k_dt = (0.5 * self.density * self.linear_drag * dt) * area / links.mass
-        k_r_dt = (self.density * self.angular_drag * dt) * second_moment / links.inertia
-        if self.drag == "by_component":
-            speed_x, speed_y = abs(links.vx), abs(links.vy)
-        else:
-            speed_x = speed_y = np.sqrt(links.vx * links.vx + links.vy * links.vy)
-        lift = (self.density * physics.gravity * dt) * area / links.mass
-        return VelocityChange(
-            vx=after_drag(links.vx, k_dt * speed_x) - links.vx,
-            vy=(after_drag(links.vy, k_dt * speed_y) + lift) - links.vy,
-            omega=after_drag(links.omega, k_r_dt * abs(links.omega)) - links.omega,
+    def factors(self, physics: Physics) -> tuple[float, ...]:
+        """Return ½ ρ C_dl dt, ρ C_dr dt, ρ g dt, and 1 where drag acts by component."""
+        dt, density = physics.time_step, self.density
+        return (
+            0.5 * density * self.linear_drag * dt,
+            density * self.angular_drag * dt,
+            density * physics.gravity * dt,
+            float(self.drag == "by_component"),
         )
+
+    @staticmethod
+    def law(factors: Numeric, links: LinkStates) -> tuple[Numeric, Numeric, Numeric]:
+        """Return the changes of vx, vy and ω in a step."""
+        return slush_change(factors, links, links.vx)
 
 
 @dataclass(frozen=True)

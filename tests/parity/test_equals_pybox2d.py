@@ -12,10 +12,10 @@ from links_in_box2d import ReferenceFreeLinks
 from tasks.design import Morphology, random_designs
 from tasks.residual.observation import INPUTS, OBSERVATION
 from tasks.residual.wetted import WETTED
+from tasks.simd import rotation
+from tasks.simd.lanes import widest
 from tasks.simulation import batch, free_links
 from tasks.simulation.box2d import Column
-from tasks.simulation.simd import rotation
-from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import packing
 from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
 from tasks.world.anisotropic_slush import AnisotropicSlush

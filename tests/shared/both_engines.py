@@ -123,7 +123,7 @@ PLAIN_PYTHON = """
 import numba, numpy as np
 from tasks.design import random_designs
 from tasks.simulation import batch, reference
-from tasks.simulation.simd.lanes import widest
+from tasks.simd.lanes import widest
 from tasks.world import DryLand, Physics, TrueSlush
 assert numba.config.DISABLE_JIT
 designs = random_designs({n_designs}, np.random.default_rng(0))

@@ -18,13 +18,11 @@ import numpy as np
 from tasks.arrays import Bools, Float32, Int64
 from tasks.compiled import inline
 from tasks.design.genes import N_LINKS
+from tasks.simd.lanes import Block, as_block, sqrt
 from tasks.simulation.networks.inference import PackedNetworks, run_networks
 from tasks.simulation.networks.tiles import N_LANES
-from tasks.simulation.simd.lanes import Block, as_block, sqrt
 from tasks.simulation.trees import layout
-from tasks.simulation.trees.step import immersion, submerged_part
-
-_ONE, _TWELVE = np.float32(1), np.float32(12)
+from tasks.world.slush import submerged_part
 
 WETTED_FIELDS = ("length_scale", "y", "cos", "sin", "vx", "vy", "omega")
 """What wetted networks read."""
@@ -118,9 +116,9 @@ def _read_wetted(copies: LinkCopies, observed: Int64) -> None:
         cos, sin = robots[robot + observed[2] * stride], robots[robot + observed[3] * stride]
         vx, vy = robots[robot + observed[4] * stride], robots[robot + observed[5] * stride]
         omega = robots[robot + observed[6] * stride]
-        width = _ONE / a
-        area, second_moment = submerged_part(a, width, immersion(a, width, y, cos, sin))
-        share = second_moment * _TWELVE / (width * width + a * a)
+        width = 1 / a
+        area, second_moment = submerged_part(a, y, cos, sin)
+        share = second_moment * 12 / (width * width + a * a)
         along, across = cos * vy - sin * vx, cos * vx + sin * vy
         x[k], x[k + n], x[k + 2 * n], x[k + 3 * n] = area, share, cos, sin
         x[k + 4 * n], x[k + 5 * n], x[k + 6 * n], x[k + 7 * n], x[k + 8 * n] = along, across, omega, y, a

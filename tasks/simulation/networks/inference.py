@@ -16,6 +16,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
+from tasks.simd.lanes import aligned
 from tasks.simulation.networks.panels import padded, to_panels
 from tasks.simulation.networks.tiles import (
     N_LANES,
@@ -27,7 +28,6 @@ from tasks.simulation.networks.tiles import (
     multiply_half_tile,
     multiply_tile,
 )
-from tasks.simulation.simd.lanes import aligned
 
 
 def _forward(layers: Int64, sizes: Int64, n_vectors: int, x: Pointer, out: Pointer, between: Pointer) -> None:

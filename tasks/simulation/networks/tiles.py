@@ -17,7 +17,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from tasks.simulation.simd.lanes import widest
+from tasks.simd.lanes import widest
 
 Pointer = int  # address of float32 numbers in memory
 

@@ -6,6 +6,9 @@ from tasks.arrays import Float32
 from tasks.compiled import compiled
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
+from tasks.simd.lanes import Block, as_block
+from tasks.simulation import fluids
+from tasks.simulation.fluids import Push, Rows
 from tasks.simulation.fused_links import body_change
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
@@ -24,15 +27,25 @@ _advance = compiled(step.advance_robots, seconds=12)
 _LINKS, _FIRST_LINK = (ROBOT.fields["links"][0].base, ROBOT.fields["links"][1]) if ROBOT.fields else (ROBOT, 0)
 _ROWS = {name: (_FIRST_LINK + offset) // 4 for name, (_, offset, *_) in (_LINKS.fields or {}).items()}
 _CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA = (_ROWS[f"change_{name}"] for name in ("vx", "vy", "omega"))
+_OF_LINKS = Rows(
+    tuple(_ROWS[name] for name in QUANTITIES), (_CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA), _LINKS.itemsize // 4
+)
 
 
 def _advance_robots_with_networks(
-    robots: Records, scene: Scene, first_step: int, end_step: int, coupling: Coupling, trace: Float32
+    robots: Records,
+    numbers: Block,
+    scene: Scene,
+    no_fluid: Push,
+    first_step: int,
+    end_step: int,
+    coupling: Coupling,
+    trace: Float32,
 ) -> None:
     """Take steps with robots, each in its member's medium; ``trace`` is empty."""
     for number in range(first_step, end_step):
         coupled.push(coupling, _CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA)
-        _advance(robots, scene, number, number + 1, trace)
+        _advance(robots, numbers, scene, no_fluid, number, number + 1, trace)
 
 
 _advance_with_networks = compiled(_advance_robots_with_networks, seconds=5)
@@ -41,14 +54,21 @@ _advance_with_networks = compiled(_advance_robots_with_networks, seconds=5)
 class Robots:
     """Robots as records: robot number member · n_designs + design."""
 
-    def __init__(self, designs: Designs, depth: float, physics: Physics, *, n_members: int) -> None:
-        """Spawn n_members robots of each of n_designs designs over ground at a depth [m]."""
+    def __init__(
+        self, designs: Designs, depth: float, physics: Physics, medium: Medium | None, *, n_members: int
+    ) -> None:
+        """Spawn n_members robots of each of n_designs designs over ground at a depth [m].
+
+        A medium with a law acts in every step; any other is up to the caller.
+        """
         self._shape = (n_members, len(designs), N_LINKS)
         self._physics = physics
         self._rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
         trees = kinematic_trees(designs, density=physics.link_density)
         self.records = np.tile(pack(designs, trees, self._rigid, depth, physics), n_members)
         self.n_robots = len(self.records)
+        self._numbers = as_block(self.records.view(np.float32).reshape(-1, 1))
+        self._fluid = fluids.push_of(medium, physics, _OF_LINKS, self._numbers)
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states; NaN where diverged."""
@@ -72,17 +92,19 @@ class Robots:
         """
         states = np.empty((0 if trace is None else self.n_robots, n_steps, N_LINKS, 6), np.float32)
         with np.errstate(all="ignore"):  # without the compiler NumPy would warn
-            _advance(self.records, scene, first_step, first_step + n_steps, states)
+            _advance(self.records, self._numbers, scene, self._fluid, first_step, first_step + n_steps, states)
         if trace is not None:
             trace[:] = states
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps without a trace in a medium that is a network for each member, all in one kernel."""
-        rows = self.records.view(np.float32).reshape(self.n_robots, -1, 1)
+        rows = self._numbers.rows.reshape(self.n_robots, -1, 1)
         coupling = coupled.couple(networks, rows, self.n_robots, _ROWS, _LINKS.itemsize // 4)
         no_trace = np.empty((0, 0, N_LINKS, 6), np.float32)
         with np.errstate(all="ignore"):
-            _advance_with_networks(self.records, scene, first_step, first_step + n_steps, coupling, no_trace)
+            _advance_with_networks(
+                self.records, self._numbers, scene, self._fluid, first_step, first_step + n_steps, coupling, no_trace
+            )
 
     def push(self, medium: Medium) -> None:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""

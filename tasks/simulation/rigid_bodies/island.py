@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tasks.compiled import inline
-from tasks.simulation.box2d import LEAST_SEPARATION, MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
+from tasks.simulation.box2d import LEAST_SEPARATION, limited
 from tasks.simulation.rigid_bodies import contact_solver, revolute_joint
 from tasks.simulation.rigid_bodies.layout import GROUND, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, synchronize_transform
@@ -118,14 +118,7 @@ def integrate_positions(robot: RobotRecord, dt: np.float32) -> None:
     """Limit the velocities, then move the bodies."""
     for b in range(robot.n_bodies):
         body = robot.bodies[b]
-        v_x, v_y, w = body.v_x, body.v_y, body.w
-        translation_x, translation_y, rotation = dt * v_x, dt * v_y, dt * w
-        squared = translation_x * translation_x + translation_y * translation_y
-        if squared > MAX_TRANSLATION * MAX_TRANSLATION:
-            ratio = MAX_TRANSLATION / np.sqrt(squared)
-            v_x, v_y = v_x * ratio, v_y * ratio
-        if rotation * rotation > MAX_ROTATION_SQUARED:
-            w = w * (MAX_ROTATION / abs(rotation))
+        v_x, v_y, w = limited(body.v_x, body.v_y, body.w, dt)
         body.v_x, body.v_y, body.w = v_x, v_y, w
         place(body, (body.c_x + dt * v_x, body.c_y + dt * v_y), body.a + dt * w)
 

@@ -30,7 +30,7 @@ class LinkRecord:
     """
 
     x, y, angle, vx, vy, omega, cos, sin = [_FLOAT] * 8
-    length_scale, width, mass, inertia = [_FLOAT] * 4
+    length_scale, mass, inertia = [_FLOAT] * 3
     change_vx, change_vy, change_omega = [_FLOAT] * 3
     lever_x, lever_y = [_FLOAT] * 2
     body = 0

@@ -1,4 +1,4 @@
-"""A step of robots of rigid bodies: the motors, the slush, and Box2D 2.3's b2World::Step.
+"""A step of robots of rigid bodies: the motors, a fluid, and Box2D 2.3's b2World::Step.
 
 The relation of links to bodies is that of tasks/simulation/fused_links.py. Every bit equals the reference engine's.
 """
@@ -9,13 +9,17 @@ from numpy import float32
 
 from tasks.arrays import Float32
 from tasks.compiled import inline
-from tasks.simulation.controller import target_angle
+from tasks.simd.lanes import Block, call, from_row
+from tasks.simd.rotation import scalar_sincos
+from tasks.simulation.controller import motor_speed, target_angle
+from tasks.simulation.fluids import Push
+from tasks.simulation.fused_links import placed, turned
 from tasks.simulation.rigid_bodies import broad_phase, island, revolute_joint
-from tasks.simulation.rigid_bodies.layout import RobotRecord
-from tasks.simulation.rigid_bodies.transform import rotate, transform
-from tasks.simulation.simd.rotation import scalar_sincos
-from tasks.simulation.trees.step import Scene, immersion, motor_speed, slush_change
+from tasks.simulation.rigid_bodies.layout import ROBOT, RobotRecord
+from tasks.simulation.rigid_bodies.transform import transform
+from tasks.simulation.trees.step import Scene
 
+N_ROWS = ROBOT.itemsize // 4  # numbers of a record, of four bytes each
 TEAM = 4  # robots that take a step together (see island.py): their records fit the L1 cache
 
 _ZERO = float32(0)
@@ -23,43 +27,35 @@ _ZERO = float32(0)
 
 @inline
 def _place_link(robot: RobotRecord, index: int) -> None:
-    """Place a link by its body, as fused_links.place_links does."""
+    """Place a link by its body."""
     link = robot.links[index]
     body = robot.bodies[link.body]
-    x, y = rotate(body, (link.local_x, link.local_y))
-    link.lever_x, link.lever_y = rotate(body, (link.local_lever_x, link.local_lever_y))
-    link.x, link.y, link.angle = body.p_x + x, body.p_y + y, body.a + link.local_angle
-    link.vx, link.vy, link.omega = body.v_x - body.w * link.lever_y, body.v_y + body.w * link.lever_x, body.w
-    link.cos = body.cos * link.local_cos - body.sin * link.local_sin
-    link.sin = body.sin * link.local_cos + body.cos * link.local_sin
+    state, direction, lever = placed(
+        (body.p_x, body.p_y, body.a, body.v_x, body.v_y, body.w),
+        body.cos,
+        body.sin,
+        (link.local_x, link.local_y, link.local_angle, link.local_cos, link.local_sin),
+        (link.local_lever_x, link.local_lever_y),
+    )
+    link.x, link.y, link.angle, link.vx, link.vy, link.omega = state
+    link.cos, link.sin = direction
+    link.lever_x, link.lever_y = lever
 
 
 @inline
 def _push(robot: RobotRecord, scene: Scene) -> None:
-    """Change the velocities of the bodies by those of their links, as fused_links.body_change does."""
+    """Change the velocities of the bodies by those of their links (:func:`fused_links.body_change`)."""
     for b in range(robot.n_bodies):
         vx, vy, omega = _ZERO, _ZERO, _ZERO
         for index in range(scene.n_links):
             link = robot.links[index]
             if link.body == b:
-                moment = link.lever_x * link.change_vy - link.lever_y * link.change_vx
                 vx, vy = vx + link.mass_share * link.change_vx, vy + link.mass_share * link.change_vy
-                omega = omega + (link.mass_over_inertia * moment + link.inertia_share * link.change_omega)
+                lever = link.lever_x, link.lever_y
+                omega = omega + turned(link, lever, link.change_vx, link.change_vy, link.change_omega)
                 link.change_vx, link.change_vy, link.change_omega = _ZERO, _ZERO, _ZERO
         body = robot.bodies[b]
         body.v_x, body.v_y, body.w = body.v_x + vx, body.v_y + vy, body.w + omega
-
-
-@inline
-def _submerge(robot: RobotRecord, scene: Scene) -> None:
-    """Compute the velocity changes of the links by the slush."""
-    for index in range(scene.n_links):
-        link = robot.links[index]
-        immersed = immersion(link.length_scale, link.width, link.y, link.cos, link.sin)
-        if immersed[2] > 0.0:
-            sizes, velocity = (link.length_scale, link.width, link.mass, link.inertia), (link.vx, link.vy, link.omega)
-            change = slush_change(sizes, velocity, immersed, scene)
-            link.change_vx, link.change_vy, link.change_omega = change
 
 
 @inline
@@ -69,7 +65,7 @@ def _command_motors(robot: RobotRecord, time: float32, scene: Scene) -> None:
         joint = robot.joints[j]
         joint_angle = robot.links[joint.child].angle - robot.links[joint.parent].angle
         target = target_angle(joint.gait, joint.rest_angle, robot.frequency * time)
-        joint.motor_speed = motor_speed(target, joint_angle, scene)
+        joint.motor_speed = motor_speed(target, joint_angle, scene.motor_gain, scene.max_motor_speed)
 
 
 @inline
@@ -92,11 +88,11 @@ def _synchronize_fixtures(robot: RobotRecord, scene: Scene) -> None:
 
 
 @inline
-def _begin_step(robot: RobotRecord, scene: Scene, step: int) -> None:
-    """Run the motors and the slush, collide, and prepare the island."""
+def _begin_step(robot: RobotRecord, numbers: Block, scene: Scene, fluid: Push, step: int) -> None:
+    """Run the motors and the fluid, collide, and prepare the island; ``numbers`` are the robot's record as rows."""
     _command_motors(robot, float32(step) * scene.dt, scene)
-    if scene.slush:
-        _submerge(robot, scene)
+    if fluid.address != 0:
+        call(fluid.address, numbers, fluid.factors, scene.n_links)
     _push(robot, scene)
     broad_phase.collide(robot)
     island.search(robot)
@@ -121,12 +117,12 @@ def _finish_step(robot: RobotRecord, scene: Scene) -> None:
 
 
 @inline
-def _take_step(team: Sequence[RobotRecord], scene: Scene, step: int) -> None:
-    """Run the motors, the slush, and b2World::Step for a team; a robot that has diverged only drifts."""
+def _take_step(team: Sequence[RobotRecord], numbers: Block, scene: Scene, fluid: Push, step: int) -> None:
+    """Run the motors, the fluid, and b2World::Step for a team; a robot that has diverged only drifts."""
     for r in range(len(team)):
         robot = team[r]
         if robot.divergence == 0.0:
-            _begin_step(robot, scene, step)
+            _begin_step(robot, from_row(numbers, r * N_ROWS), scene, fluid, step)
         else:
             robot.n_island_contacts, robot.n_island_joints = 0, 0
     island.sweep_velocities(team, scene)
@@ -161,11 +157,19 @@ def _record_states(robot: RobotRecord, states: Float32) -> None:
         state[3], state[4], state[5] = link.vx + divergence, link.vy + divergence, link.omega + divergence
 
 
-def advance_robots(robots: Sequence[RobotRecord], scene: Scene, first_step: int, end_step: int, trace: Float32) -> None:
+def advance_robots(
+    robots: Sequence[RobotRecord],
+    numbers: Block,
+    scene: Scene,
+    fluid: Push,
+    first_step: int,
+    end_step: int,
+    trace: Float32,
+) -> None:
     """Take steps with robots, team after team.
 
-    Step 0 spawns the robots first. ``trace`` is (n_robots, n_steps, n_links, 6) for the states after each step; empty
-    if they are not wanted.
+    Step 0 spawns the robots first. ``numbers`` are their records as rows of one number. ``trace`` is (n_robots,
+    n_steps, n_links, 6) for the states after each step; empty if they are not wanted.
     """
     for first in range(0, len(robots), TEAM):
         team = robots[first : first + TEAM]
@@ -173,7 +177,7 @@ def advance_robots(robots: Sequence[RobotRecord], scene: Scene, first_step: int,
             for r in range(len(team)):
                 _spawn(team[r], scene)
         for step in range(first_step, end_step):
-            _take_step(team, scene, step)
+            _take_step(team, from_row(numbers, first * N_ROWS), scene, fluid, step)
             if trace.size > 0:
                 for r in range(len(team)):
                     _record_states(team[r], trace[first + r, step - first_step])

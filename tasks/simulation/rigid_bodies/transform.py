@@ -3,8 +3,8 @@
 from numpy import float32
 
 from tasks.compiled import inline
+from tasks.simd.rotation import scalar_sincos
 from tasks.simulation.rigid_bodies.layout import BodyRecord
-from tasks.simulation.simd.rotation import scalar_sincos
 
 Vector = tuple[float32, float32]  # b2Vec2
 

@@ -30,8 +30,8 @@ Position correction of a point, by β of the error and as a Newton step with the
 
 import tasks.simulation.box2d as box2d
 from tasks.compiled import inline
-from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, any_lane, select
-from tasks.simulation.simd.rotation import sincos
+from tasks.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, any_lane, select
+from tasks.simd.rotation import sincos
 from tasks.simulation.trees import layout as at
 from tasks.simulation.trees.joint import clamp
 

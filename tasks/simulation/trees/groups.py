@@ -7,10 +7,12 @@ import numpy as np
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
+from tasks.simd.lanes import Block
+from tasks.simulation import fluids
+from tasks.simulation.fluids import Push, Rows
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
-from tasks.simulation.simd.lanes import Block
 from tasks.simulation.trees import layout, packing, step
 from tasks.simulation.trees.step import Scene
 from tasks.world.medium import LinkStates, Medium, change_in
@@ -18,11 +20,14 @@ from tasks.world.physics import Physics
 
 advance_kernel = compiled(step.advance, seconds=12)
 
+_ROWS = Rows(tuple(layout.QUANTITIES.values()), (layout.VX, layout.VY, layout.OMEGA), 1)
+
 
 def _advance_with_networks(
     block: Block,
     n_groups: int,
     scene: Scene,
+    no_fluid: Push,
     first_step: int,
     n_steps: int,
     coupling: Coupling,
@@ -36,7 +41,7 @@ def _advance_with_networks(
     """
     for taken in range(n_steps):
         coupled.push(coupling, layout.VX, layout.VY, layout.OMEGA)
-        advance_kernel(block, n_groups, scene, first_step + taken, one, trace, traced)
+        advance_kernel(block, n_groups, scene, no_fluid, first_step + taken, one, trace, traced)
 
 
 _advance_coupled = compiled(_advance_with_networks, seconds=5)
@@ -45,8 +50,13 @@ _advance_coupled = compiled(_advance_with_networks, seconds=5)
 class Groups:
     """Robots packed into lanes: robot i is lane i mod n_lanes of group i // n_lanes."""
 
-    def __init__(self, designs: Designs, physics: Physics, *, n_members: int, n_lanes: int) -> None:
-        """Spawn n_members robots of each of n_designs designs: robot number member · n_designs + design."""
+    def __init__(
+        self, designs: Designs, physics: Physics, medium: Medium | None, *, n_members: int, n_lanes: int
+    ) -> None:
+        """Spawn n_members robots of each of n_designs designs: robot number member · n_designs + design.
+
+        A medium with a law acts in every step; any other is up to the caller.
+        """
         self.n_robots = n_members * len(designs)
         self._n_members = n_members
         self._physics = physics
@@ -54,6 +64,7 @@ class Groups:
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
         self._no_trace = Block(1, n_lanes)
+        self._fluid = fluids.push_of(medium, physics, _ROWS, self._block)
         self.blocks = self._block.rows.reshape(self.n_groups, layout.N_ROWS, n_lanes)
         self._number = packing.pack(designs, physics, n_members, self.blocks)  # the engine's numbers of the links
 
@@ -91,7 +102,9 @@ class Groups:
         n_rows = 0 if trace is None else self.n_groups * n_steps * layout.N_TRACED
         states = Block(n_rows, self.n_lanes) if n_rows else self._no_trace
         with np.errstate(all="ignore"):  # without the compiler, lanes are NumPy arrays and would warn
-            advance_kernel(self._block, self.n_groups, scene, first_step, n_steps, states, trace is not None)
+            advance_kernel(
+                self._block, self.n_groups, scene, self._fluid, first_step, n_steps, states, trace is not None
+            )
         if trace is not None and n_rows:
             by_group = states.rows.reshape(self.n_groups, n_steps, 6, N_LINKS, self.n_lanes)
             by_robot = by_group.transpose(0, 4, 1, 3, 2).reshape(-1, n_steps, N_LINKS, 6)[: self.n_robots]
@@ -101,7 +114,9 @@ class Groups:
         """Take steps in a medium of one network per member, in a single kernel."""
         coupling = coupled.couple(networks, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):
-            _advance_coupled(self._block, self.n_groups, scene, first_step, n_steps, coupling, self._no_trace, False, 1)
+            _advance_coupled(
+                self._block, self.n_groups, scene, self._fluid, first_step, n_steps, coupling, self._no_trace, False, 1
+            )
 
     def push(self, medium: Medium) -> None:
         """Add a medium's velocity change to every link, as the reference engine does."""

@@ -26,9 +26,9 @@ Motor constraint (one equation), with the commanded speed s:
 """
 
 from tasks.compiled import inline
+from tasks.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, from_row, select
+from tasks.simd.rotation import sincos
 from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
-from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, from_row, select
-from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import layout as at
 
 

@@ -22,8 +22,8 @@ N_STATE = DIVERGENCE + 1
 
 # Links as Box2D stores them: half sizes [m], inverse mass [1/kg] and inertia [1/(kg·m²)].
 HALF_WIDTH, HALF_HEIGHT, INVERSE_MASS, INVERSE_INERTIA = range(N_STATE, N_STATE + 4 * N_LINKS, N_LINKS)
-# Links as a medium sees them: axes [m], mass [kg], inertia [kg·m²].
-LONG_AXIS, SHORT_AXIS, MASS, INERTIA = range(INVERSE_INERTIA + N_LINKS, INVERSE_INERTIA + 5 * N_LINKS, N_LINKS)
+# Links as a medium sees them: long axis [m], mass [kg], inertia [kg·m²].
+LONG_AXIS, MASS, INERTIA = range(INVERSE_INERTIA + N_LINKS, INVERSE_INERTIA + 4 * N_LINKS, N_LINKS)
 # Joints: the parent's number, inverse mass and inertia; anchors along both y axes [m]; the motor's limit [N·m·s].
 PARENT, PARENT_INVERSE_MASS, PARENT_INVERSE_INERTIA, PARENT_ANCHOR, CHILD_ANCHOR, MAX_MOTOR_IMPULSE = range(
     INERTIA + N_LINKS, INERTIA + N_LINKS + 6 * N_JOINTS, N_JOINTS

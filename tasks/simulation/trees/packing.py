@@ -70,7 +70,7 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
     above = np.take_along_axis(number, np.maximum(designs.parent, 0), axis=1)
     impulse = controllers.motor_on * (np.float32(physics.time_step) * np.float32(physics.max_motor_torque))
     pose, sizes = (trees.x, trees.y, trees.angle), (trees.half_width, trees.half_height)
-    masses = length, np.float32(1) / length, trees.mass, trees.inertia
+    masses = length, trees.mass, trees.inertia
     anchors = trees.parent_anchor, trees.child_anchor
 
     def ordered(*quantities: Float32 | Int64) -> Float32:

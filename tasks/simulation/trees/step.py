@@ -1,10 +1,9 @@
-"""A step of many robots at once, on lanes: the motors, the slush, and Box2D 2.3's b2World::Step.
+"""A step of many robots at once, on lanes: the motors, a fluid, and Box2D 2.3's b2World::Step.
 
 The order of a step is Box2D's: collide, integrate velocities, warm-start contacts then joints, sweep joints then
 contacts for velocities, integrate positions, sweep contacts then joints for positions. The order of contacts among
-themselves does not matter, because no contact connects two links; that of joints does. The motors and the slush are
-those of tasks/simulation/controller.py and tasks/world/slush.py, in the same float32 operations. Everything equals the
-reference engine to the last bit.
+themselves does not matter, because no contact connects two links; that of joints does. The motors are those of
+tasks/simulation/controller.py, in the same float32 operations. Everything equals the reference engine to the last bit.
 """
 
 from typing import NamedTuple
@@ -14,18 +13,14 @@ import numpy as np
 from tasks.compiled import inline
 from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS
-from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
-from tasks.simulation.controller import target_angle
-from tasks.simulation.simd.lanes import Block, Numeric, any_lane, from_row, select, sqrt
-from tasks.simulation.simd.rotation import sincos
+from tasks.simd.lanes import Block, any_lane, call, from_row
+from tasks.simd.rotation import sincos
+from tasks.simulation.box2d import limited
+from tasks.simulation.controller import motor_speed, target_angle
+from tasks.simulation.fluids import Push
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
 from tasks.simulation.trees.joint import of_parent
-from tasks.world.slush import TINY
-
-# float32, because motor_speed and slush_change serve lanes and the numbers of tasks/simulation/rigid_bodies.
-_ZERO, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4, 24))
-_TINY = np.float32(TINY)
 
 MAX_GROUPS_AT_ONCE = 2  # of two, what the velocity solver uses still fits a core's L1 cache
 
@@ -44,20 +39,7 @@ class Scene(NamedTuple):
     velocity_iterations: int
     position_iterations: int
     n_links: int  # always 6, but known at run time only: otherwise loops are unrolled and outgrow the instruction cache
-    slush: bool  # whether the built-in slush fills the region below y = 0; its factors follow
-    drag: np.float32  # ½ ρ C_dl dt
-    angular_drag: np.float32  # ρ C_dr dt
-    lift: np.float32  # ρ g dt
-    by_component: bool  # whether drag acts on each component of the velocity by itself
     motor_work: bool = False  # whether to add up the work of the motors
-
-
-@inline
-def motor_speed(target: Numeric, joint_angle: Numeric, scene: Scene) -> Numeric:
-    """Return the motor speed gain · (θ* - θ), within its limit, of lanes or numbers [rad/s]; as in controller.py."""
-    wanted, limit = scene.motor_gain * (target - joint_angle), scene.max_motor_speed
-    below = select(wanted > limit, limit, wanted)
-    return select(below < -limit, -limit, below)
 
 
 @inline
@@ -66,90 +48,14 @@ def _command_motor(block: Block, j: int, time: np.float32, scene: Scene) -> None
     joint_angle = block[at.ANGLE + j + 1] - of_parent(from_row(block, at.ANGLE), parent, j)
     gait, periods = from_row(block, at.GAIT + j * N_NUMBERS), block[at.FREQUENCY] * time
     target = target_angle(gait, block[at.REST_ANGLE + j], periods)
-    block[at.MOTOR_SPEED + j] = motor_speed(target, joint_angle, scene)
-
-
-@inline
-def _share(share: Numeric) -> Numeric:
-    """Clamp to [0, 1]."""
-    positive = select(share > 0.0, share, _ZERO)
-    return select(positive < 1.0, positive, _ONE)
-
-
-@inline
-def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Numeric) -> tuple[Numeric, ...]:
-    """Return half the rises of a link's short and long edge, and the depth of its lowest corner [m]; as in slush.py.
-
-    ``y`` is the height of the centre over the surface [m].
-    """
-    rise_short, rise_long = abs(sin) * width / _TWO, abs(cos) * length / _TWO
-    return rise_short, rise_long, rise_short + rise_long - y
-
-
-@inline
-def submerged_part(length: Numeric, width: Numeric, immersed: tuple[Numeric, ...]) -> tuple[Numeric, Numeric]:
-    """Return the submerged area [m²] and its second moment [m⁴] by a link's :func:`immersion`; as in slush.py."""
-    rise_short, rise_long, depth = immersed
-    per_short = _HALF / select(rise_short > _TINY, rise_short, _TINY)
-    per_long = _HALF / select(rise_long > _TINY, rise_long, _TINY)
-    t1, t2 = _share(depth * per_short), _share(depth * per_long)
-    t3, t4 = _share((depth - _TWO * rise_short) * per_long), _share((depth - _TWO * rise_long) * per_short)
-    area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / _TWO
-    p1, p4 = _TWO * t1 - _ONE, _TWO * t4 - _ONE
-    q3, q2 = _TWO * t3 - _ONE, _TWO * t2 - _ONE
-    across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / _FOUR)
-    along = length * length * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / _FOUR)
-    second_moment = (across + along) / _TWENTY_FOUR
-    return area, select(second_moment > 0.0, second_moment, _ZERO)
-
-
-@inline
-def slush_change(
-    sizes: tuple[Numeric, ...], velocity: tuple[Numeric, ...], immersed: tuple[Numeric, ...], scene: Scene
-) -> tuple[Numeric, ...]:
-    """Return the changes of vx, vy [m/s] and omega [rad/s] by the slush in one step; see tasks/world/slush.py.
-
-    ``sizes`` are a link's length, width, mass and inertia, ``immersed`` its :func:`immersion`, with a depth above 0.
-    """
-    length, width, mass, inertia = sizes
-    area, second_moment = submerged_part(length, width, immersed)
-    vx, vy, omega = velocity
-    k_dt = scene.drag * area / mass
-    k_r_dt = scene.angular_drag * second_moment / inertia
-    speed_x = speed_y = sqrt(vx * vx + vy * vy)
-    if scene.by_component:
-        speed_x, speed_y = abs(vx), abs(vy)
-    lift = scene.lift * area / mass
-    after_x, after_y = vx / (_ONE + k_dt * speed_x), vy / (_ONE + k_dt * speed_y)
-    return after_x - vx, (after_y + lift) - vy, omega / (_ONE + k_r_dt * abs(omega)) - omega
-
-
-@inline
-def _submerge(block: Block, link: int, scene: Scene) -> None:
-    """Add the slush's velocity change to a link, unless it is dry in all lanes."""
-    length, width = _TWO * block[at.HALF_HEIGHT + link], block[at.SHORT_AXIS + link]  # halving was exact
-    immersed = immersion(length, width, block[at.Y + link], block[at.COS + link], block[at.SIN + link])
-    if any_lane(immersed[2] > 0.0):
-        velocity = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
-        sizes = length, width, block[at.MASS + link], block[at.INERTIA + link]
-        change = slush_change(sizes, velocity, immersed, scene)
-        block[at.VX + link], block[at.VY + link] = velocity[0] + change[0], velocity[1] + change[1]
-        block[at.OMEGA + link] = velocity[2] + change[2]
+    block[at.MOTOR_SPEED + j] = motor_speed(target, joint_angle, scene.motor_gain, scene.max_motor_speed)
 
 
 @inline
 def _integrate_position(block: Block, link: int, dt: np.float32) -> None:
     """b2Island::Solve: limit the velocities, then move."""
-    vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
-    translation_x, translation_y, rotation = dt * vx, dt * vy, dt * w
-    squared = translation_x * translation_x + translation_y * translation_y
-    too_far = squared > MAX_TRANSLATION * MAX_TRANSLATION
-    too_much = rotation * rotation > MAX_ROTATION_SQUARED
-    if any_lane(too_far | too_much):
-        ratio = MAX_TRANSLATION / sqrt(squared)
-        vx, vy = select(too_far, vx * ratio, vx), select(too_far, vy * ratio, vy)
-        w = select(too_much, w * (MAX_ROTATION / abs(rotation)), w)
-        block[at.VX + link], block[at.VY + link], block[at.OMEGA + link] = vx, vy, w
+    vx, vy, w = limited(block[at.VX + link], block[at.VY + link], block[at.OMEGA + link], dt)
+    block[at.VX + link], block[at.VY + link], block[at.OMEGA + link] = vx, vy, w
     angle = block[at.ANGLE + link] + dt * w
     block[at.X + link], block[at.Y + link] = block[at.X + link] + dt * vx, block[at.Y + link] + dt * vy
     block[at.ANGLE + link] = angle
@@ -221,17 +127,17 @@ def _solve_positions(block: Block, scene: Scene, touching: int) -> None:
 
 
 @inline
-def _push_links(block: Block, scene: Scene, step: int) -> None:
-    """Command the motors, and change the links' velocities by slush and gravity."""
+def _push_links(block: Block, scene: Scene, fluid: Push, step: int) -> None:
+    """Command the motors, and change the links' velocities by the fluid and gravity."""
     time = np.float32(step) * scene.dt
     _command_motor(block, 0, time, scene)
     _command_motor(block, 1, time, scene)
     _command_motor(block, 2, time, scene)
     _command_motor(block, 3, time, scene)
     _command_motor(block, 4, time, scene)
+    if fluid.address != 0:
+        call(fluid.address, block, fluid.factors, scene.n_links)
     for link in range(scene.n_links):
-        if scene.slush:
-            _submerge(block, link, scene)
         block[at.VY + link] = block[at.VY + link] + scene.fall
 
 
@@ -266,9 +172,9 @@ def _end_step(block: Block, scene: Scene, touching: int) -> None:
 
 
 @inline
-def _take_step(groups: Block, n_groups: int, scene: Scene, step: int) -> None:
+def _take_step(groups: Block, n_groups: int, scene: Scene, fluid: Push, step: int) -> None:
     for k in range(n_groups):
-        _push_links(from_row(groups, k * at.N_ROWS), scene, step)
+        _push_links(from_row(groups, k * at.N_ROWS), scene, fluid, step)
     touching, on_two_points = 0, 0  # the first group's links are the lowest bits
     for k in range(n_groups):
         links, links_on_two = _start_contacts(from_row(groups, k * at.N_ROWS), scene)
@@ -287,7 +193,7 @@ def _orient(block: Block, scene: Scene) -> None:
 
 
 def advance(
-    blocks: Block, n_groups: int, scene: Scene, first_step: int, n_steps: int, trace: Block, traced: bool
+    blocks: Block, n_groups: int, scene: Scene, fluid: Push, first_step: int, n_steps: int, trace: Block, traced: bool
 ) -> None:
     """Step groups of robots.
 
@@ -301,7 +207,7 @@ def advance(
             for k in range(n_together):
                 _orient(from_row(together, k * at.N_ROWS), scene)
         for step in range(n_steps):
-            _take_step(together, n_together, scene, first_step + step)
+            _take_step(together, n_together, scene, fluid, first_step + step)
             if traced:
                 for k in range(n_together):
                     block = from_row(together, k * at.N_ROWS)

@@ -22,8 +22,8 @@ def digests_with(edited: dict[str, bytes], stage=EVOLVE) -> set[str]:
         "pipeline.stages.segments",
         "tasks.evolution.afpo",
         "tasks.evolution.objectives.displacement",  # found by pkgutil
-        "tasks.simulation.simd",  # a package around what is imported
-        "tasks.simulation.simd.vectors",
+        "tasks.simd",  # a package around what is imported
+        "tasks.simd.vectors",
         "tasks.world.slush",
     ],
 )

@@ -7,8 +7,8 @@ from both_engines import Slushes, assert_equal_in_plain_python, networks
 
 from tasks.design import Designs, random_designs
 from tasks.residual.wetted import WETTED
+from tasks.simd.lanes import widest
 from tasks.simulation import DIVERGED, OK, batch, simulate
-from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import step
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
 

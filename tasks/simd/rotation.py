@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tasks.compiled import inline
-from tasks.simulation.simd import lanes
+from tasks.simd import lanes
 
 NEAR = 120.0  # angles below this [rad] are reduced by one multiply-add, others by integer arithmetic
 _TWO_OVER_PI_SCALED = float.fromhex("0x1.45F306DC9C883p+23")  # 2/π · 2^24

@@ -1,3 +1,3 @@
 """SIMD inside numba: vectors of float32, one robot per lane. Importing it teaches numba the functions of lanes."""
 
-from tasks.simulation.simd import vectors
+from tasks.simd import vectors

@@ -6,8 +6,9 @@ for the number of lanes of its block, and its bits do not depend on that number:
 nothing is contracted or reassociated. A Python number takes the precision of the lanes that it is combined with, as in
 NumPy. There are no in-place operators: they would change an array under all its names.
 
-Functions of lanes accept numbers, too, except those that count or pick lanes. So a formula that the tree engine shares
-with scalar code is written once; its constants are float32, because numba widens a number that meets a Python float.
+Functions of lanes accept numbers and arrays, too, except those that count or pick lanes. So a formula
+(:func:`tasks.compiled.formula`) is written once for kernels and for NumPy. Where it also serves single numbers in a
+kernel its constants are float32, because numba widens a number that meets a Python float.
 
 Without the compiler (NUMBA_DISABLE_JIT=1) kernels run in plain Python on NumPy arrays and call the functions below.
 Under the compiler, each of these functions is a typing rule and a few instructions: see vectors.py.
@@ -72,6 +73,8 @@ def from_row(block: Block, row: int) -> Block:
 
 def select(mask: Numeric, yes: Numeric, no: Numeric) -> Numeric:
     """Return ``yes`` in lanes where the mask holds, and ``no`` elsewhere; two Python numbers make float32."""
+    if hasattr(yes, "where"):  # a tensor, whose gradient a formula keeps
+        return yes.where(mask, no)
     if isinstance(yes, float) and isinstance(no, float):
         yes, no = np.float32(yes), np.float32(no)
     chosen: Any = np.where(mask, yes, no)
@@ -132,6 +135,11 @@ def with_lane(lanes: Any, index: int, number: Any) -> Any:
 def count_lanes(lanes: Any) -> int:
     """Return the number of lanes."""
     return len(lanes)
+
+
+def call(address: Any, block: Block, factors: Block, number: int) -> None:
+    """Call the kernel at an address (:func:`tasks.compiled.entry`) with two blocks and a number."""
+    address(block, factors, number)
 
 
 @functools.cache  # the query of LLVM takes longer than packing designs

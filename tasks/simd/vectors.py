@@ -21,8 +21,8 @@ from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.extending import NativeValue, intrinsic, models, overload, register_model, type_callable, typeof_impl, unbox
 
-from tasks.simulation.simd import lanes as simd
-from tasks.simulation.simd.lanes import ALIGNMENT, Block
+from tasks.simd import lanes as simd
+from tasks.simd.lanes import ALIGNMENT, Block
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
 _ELEMENTS = {"float32": _FLOAT, "float64": ir.DoubleType(), "int32": _INT, "bool": ir.IntType(1)}
@@ -301,6 +301,23 @@ def _lower_store(context: Any, builder: ir.IRBuilder, signature: Any, args: Any)
 @_teaches(simd.from_row, _BlockType, types.Integer, gives=lambda block, row: block)
 def _lower_from_row(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return builder.gep(args[0], [args[1]])
+
+
+@_teaches(
+    simd.call,
+    types.Integer,
+    _BlockType,
+    _BlockType,
+    types.Integer,
+    gives=lambda address, block, factors, number: types.none,
+)
+def _lower_call(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    operands = (*signature.args[1:3], types.intp)
+    number = context.cast(builder, args[3], signature.args[3], types.intp)
+    function_type = context.call_conv.get_function_type(types.none, operands)
+    function = builder.inttoptr(args[0], function_type.as_pointer())
+    context.call_conv.call_function(builder, function, types.none, operands, [args[1], args[2], number])
+    return context.get_dummy_value()
 
 
 @lower_cast(_LanesType, _LanesType)

@@ -1,0 +1,86 @@
+"""Fluids in the batch engine: a kernel for each law, which the engines call by its address.
+
+So an engine is compiled once, whatever the fluid, and a fluid's kernel within a few seconds.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tasks.compiled import compiled, entry, inline
+from tasks.simd.lanes import Block
+from tasks.world.medium import Fluid, Medium
+from tasks.world.physics import Physics
+
+LAW, READ, ADD, STRIDE = None, (0,) * 9, (0,) * 3, 0  # of a kernel: see _kernel
+
+
+class Links(NamedTuple):
+    """The fields of :class:`tasks.world.LinkStates`, on lanes."""
+
+    length_scale: Any
+    mass: Any
+    inertia: Any
+    y: Any
+    cos: Any
+    sin: Any
+    vx: Any
+    vy: Any
+    omega: Any
+
+
+class Push(NamedTuple):
+    """A fluid as the kernel of an engine takes it."""
+
+    address: Any  # of the fluid's own kernel; 0 for none
+    factors: Block  # what its law needs, a row each
+
+
+class Rows(NamedTuple):
+    """Where an engine has the quantities of a robot's links."""
+
+    read: tuple[int, ...]  # rows of the first link's fields of LinkStates
+    add: tuple[int, ...]  # rows of what changes of its vx, vy and omega are added to
+    stride: int  # rows from a link to the next
+
+
+def _push_links(block: Block, factors: Block, n_links: int) -> None:
+    """Add the changes by a law to the links of a group of robots."""
+    for link in range(n_links):
+        k = link * STRIDE
+        length_scale, mass, inertia = block[READ[0] + k], block[READ[1] + k], block[READ[2] + k]
+        y, cos, sin = block[READ[3] + k], block[READ[4] + k], block[READ[5] + k]
+        velocity = block[READ[6] + k], block[READ[7] + k], block[READ[8] + k]
+        vx, vy, omega = LAW(factors, Links(length_scale, mass, inertia, y, cos, sin, *velocity))
+        block[ADD[0] + k] = block[ADD[0] + k] + vx
+        block[ADD[1] + k] = block[ADD[1] + k] + vy
+        block[ADD[2] + k] = block[ADD[2] + k] + omega
+
+
+@functools.cache
+def _kernel(law: Callable[..., Any], rows: Rows) -> Callable[..., Any]:
+    """Return the kernel of a law. It has globals of its own: numba's cache would never find a closure again."""
+    own = {**globals(), "LAW": inline(law), "READ": rows.read, "ADD": rows.add, "STRIDE": rows.stride}
+    kernel = FunctionType(_push_links.__code__, own)
+    kernel.__module__, kernel.__qualname__ = law.__module__, f"{law.__qualname__}.{rows.stride}"  # names in the cache
+    return compiled(kernel, seconds=3)
+
+
+def is_compiled(medium: Medium | None) -> bool:
+    """Return whether a medium has a law that the engines compile; a subclass may have a change of its own instead."""
+    return isinstance(medium, Fluid) and type(medium).velocity_change is Fluid.velocity_change
+
+
+def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block) -> Push:
+    """Return a medium's kernel for an engine, compiled for blocks such as the given one; none if it has no law."""
+    factors = medium.factors(physics) if is_compiled(medium) and isinstance(medium, Fluid) else ()
+    of_lanes = Block(max(len(factors), 1), block.n_lanes)
+    if not is_compiled(medium):
+        return Push(0, of_lanes)
+    of_lanes.rows[:] = np.array(factors)[:, None]
+    return Push(entry(_kernel(medium.law, rows), block, of_lanes, 1), of_lanes)
