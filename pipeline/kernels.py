@@ -6,7 +6,7 @@ of a process checks them; a folder that differs from its list is discarded.
 
 A kernel can be compiled from what its module names, and no more. So its sources are its module and what that imports,
 at any depth; for a name that is imported from a package, all that the package imports. A module that a registry finds
-in its folder, such as a user's medium, is none of them.
+in its folder, such as a user's medium, is none of them; if it has a law, the law's kernel is named by its sources.
 """
 
 import contextlib
@@ -38,7 +38,10 @@ _DIGESTS = "digests.json"
 
 def kernel_sources(modules: Sources) -> Sources:
     """Select the modules that kernels are compiled from: those that make kernels and, in turn, all that is imported."""
-    pending = [name for name, content in modules.items() if _MAKES_KERNELS.search(content)]
+    return _reached(modules, [name for name, content in modules.items() if _MAKES_KERNELS.search(content)])
+
+
+def _reached(modules: Sources, pending: list[str]) -> Sources:
     sources: Sources = {}
     while pending:
         name = pending.pop()
@@ -53,9 +56,22 @@ def cache_folder() -> Path:
     """Return the folder of the kernels that this code and this machine need."""
     processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()
     content = hashlib.sha256(repr((numba.__version__, sys.version_info[:3], processor)).encode())
-    for name, source in sorted(kernel_sources(read_modules("tasks")).items()):
-        content.update(f"\0{name}\0".encode() + source)
+    content.update(_joined(kernel_sources(read_modules("tasks"))))
     return users_folder() / content.hexdigest()[:16]
+
+
+def _joined(sources: Sources) -> bytes:
+    return b"".join(f"\0{name}\0".encode() + source for name, source in sorted(sources.items()))
+
+
+@functools.cache
+def _place(module: str) -> str:
+    """Name the module of a kernel, and its sources where the folder does not: those of a law in a file of its own."""
+    modules = read_modules("tasks")
+    if module in kernel_sources(modules):
+        return module
+    own = Path(str(sys.modules[module].__file__)).read_bytes()
+    return f"{module}-{hashlib.sha256(_joined(_reached({**modules, module: own}, [module]))).hexdigest()[:16]}"
 
 
 def users_folder() -> Path:
@@ -133,7 +149,7 @@ class _Locator:
         return ""  # the folder's name is a digest of the sources
 
     def get_disambiguator(self) -> str:
-        return self._module
+        return _place(self._module)
 
     def ensure_cache_path(self) -> None:
         pass
@@ -164,7 +180,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 def seconds_to_compile(physics: Physics) -> float:
     """Return about how long the kernels take that an evolution needs and this machine has not compiled yet [s]."""
     there = {path.name.partition(".py")[0] for path in kernel_files(cache_folder())}
-    names = {function: f"{function.__qualname__}-{function.__module__}" for function in needed_kernels(physics)}
+    names = {function: f"{function.__qualname__}-{_place(function.__module__)}" for function in needed_kernels(physics)}
     return float(sum(KERNELS[one] for one, name in names.items() if not any(kept.endswith(name) for kept in there)))
 
 

@@ -1,5 +1,6 @@
 """Kernels: functions that numba compiles on their first call, or finds in a cache."""
 
+import sys
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar, cast
@@ -24,7 +25,8 @@ class _Cache(NullCache):  # type: ignore[misc]  # numba has no types
 
     @cached_property
     def _opened(self) -> Any:
-        return kernel_cache.open_cache(self._function) if kernel_cache.open_cache else NullCache()
+        in_a_file = hasattr(sys.modules.get(self._function.__module__), "__file__")  # and not in a notebook
+        return kernel_cache.open_cache(self._function) if kernel_cache.open_cache and in_a_file else NullCache()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         return self._opened.load_overload(sig, target_context)

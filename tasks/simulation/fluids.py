@@ -6,11 +6,13 @@ So an engine is compiled once, whatever the fluid, and a fluid's kernel within a
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable
 from types import FunctionType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
+from numba.core.errors import NumbaError
 
 from tasks.compiled import compiled, entry, inline
 from tasks.simd.lanes import Block
@@ -71,16 +73,29 @@ def _kernel(law: Callable[..., Any], rows: Rows) -> Callable[..., Any]:
     return compiled(kernel, seconds=3)
 
 
-def is_compiled(medium: Medium | None) -> bool:
+def is_compiled(medium: Medium | None) -> TypeGuard[Fluid]:
     """Return whether a medium has a law that the engines compile; a subclass may have a change of its own instead."""
     return isinstance(medium, Fluid) and type(medium).velocity_change is Fluid.velocity_change
 
 
 def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block) -> Push:
-    """Return a medium's kernel for an engine, compiled for blocks such as the given one; none if it has no law."""
-    factors = medium.factors(physics) if is_compiled(medium) and isinstance(medium, Fluid) else ()
-    of_lanes = Block(max(len(factors), 1), block.n_lanes)
+    """Return a medium's kernel for an engine, compiled for blocks such as the given one; none if it has no law.
+
+    Raises:
+        ValueError: the law does not compile.
+    """
     if not is_compiled(medium):
-        return Push(0, of_lanes)
-    of_lanes.rows[:] = np.array(factors)[:, None]
-    return Push(entry(_kernel(medium.law, rows), block, of_lanes, 1), of_lanes)
+        return Push(0, Block(1, block.n_lanes))
+    factors = medium.factors(physics)
+    of_lanes = Block(max(len(factors), 1), block.n_lanes)
+    of_lanes.rows[: len(factors)] = np.array(factors, dtype=np.float32)[:, None]
+    try:
+        return Push(entry(_kernel(medium.law, rows), block, of_lanes, 1), of_lanes)
+    except NumbaError as error:
+        named = re.search(r'File "(.*?)", line (\d+)', str(error))
+        place = f"{named[1]}:{named[2]}" if named else medium.law.__module__
+        raise ValueError(
+            f"{place}: {medium.law.__qualname__} does not compile: "
+            "expected operators, abs, formulas and functions of tasks.simd.lanes; what needs NumPy goes into "
+            "velocity_change"
+        ) from error

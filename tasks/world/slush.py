@@ -15,7 +15,7 @@ from pydantic import Field
 
 from tasks.compiled import formula
 from tasks.parameters import Parameters, later_choice
-from tasks.simd.lanes import Numeric, select, sqrt
+from tasks.simd.lanes import Numeric, any_lane, select, sqrt
 from tasks.world.environment import Environment
 from tasks.world.medium import Fluid, LinkStates, Medium
 from tasks.world.physics import Physics
@@ -30,6 +30,12 @@ def _share(share: Numeric) -> Numeric:
     """Clamp to [0, 1]."""
     positive = select(share > 0.0, share, 0.0)
     return select(positive < 1.0, positive, 1.0)
+
+
+@formula
+def lowest_corner(length_scale: Numeric, y: Numeric, cos: Numeric, sin: Numeric) -> Numeric:
+    """Return the height of rectangles' lowest corners over the surface [m]; see :func:`submerged_part`."""
+    return y - (abs(sin) * (1 / length_scale) / 2 + abs(cos) * length_scale / 2)
 
 
 @formula
@@ -100,6 +106,9 @@ def slush_change(factors: Numeric, links: LinkStates, vx: Numeric) -> tuple[Nume
     """
     drag, angular_drag, lift, by_component = factors[0], factors[1], factors[2], factors[3]
     vy, omega = links.vy, links.omega
+    if not any_lane(lowest_corner(links.length_scale, links.y, links.cos, links.sin) < 0.0):
+        still = 0.0 * vx
+        return still, still, still
     area, second_moment = submerged_part(links.length_scale, links.y, links.cos, links.sin)
     k_dt, k_r_dt = drag * area / links.mass, angular_drag * second_moment / links.inertia
     speed = sqrt(vx * vx + vy * vy)

@@ -70,8 +70,8 @@ def test_a_module_of_any_function_that_kernels_call_is_a_source():
     for kernel in KERNELS:
         modules_reached(kernel, reached)
     own = {module for module in reached.values() if module.startswith("tasks.")}
-    assert {"tasks.simulation.simd.rotation", "tasks.design.variation_kernels"} <= own <= kernel_sources(MODULES).keys()
-    assert "tasks.world.slush" in kernel_sources(MODULES)  # trees/step.py names a constant of it
+    assert {"tasks.simd.rotation", "tasks.design.variation_kernels"} <= own <= kernel_sources(MODULES).keys()
+    assert "tasks.world.slush" in kernel_sources(MODULES)  # coupled.py calls a formula of it
 
 
 def test_imports_of_sources_are_sources_and_packages_around_them_are_not():
