@@ -19,7 +19,9 @@ from tasks.simd.lanes import Block
 from tasks.world.medium import Fluid, Medium
 from tasks.world.physics import Physics
 
-LAW, READ, ADD, STRIDE = None, (0,) * 9, (0,) * 3, 0  # of a kernel: see _kernel
+# Of a kernel, which has its own: see _kernel.
+LAW: Callable[..., Any] = Fluid.law
+READ, ADD, STRIDE = (0,) * 9, (0,) * 3, 0
 
 
 class Links(NamedTuple):

@@ -5,9 +5,8 @@ residual of a step is an exact function of the state, and the joints are solved 
 """
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -79,8 +78,10 @@ class Fluid(Parameters):
     such as ``select`` in place of a branch, and formulas such as ``submerged_part``.
     """
 
-    law: ClassVar[Callable[[Any, LinkStates], tuple[Any, Any, Any]]]
-    """Function from the factors, by index, and links to the changes of vx, vy [m/s] and ω [rad/s] in a step."""
+    @staticmethod
+    @abstractmethod
+    def law(factors: Any, links: LinkStates) -> tuple[Any, Any, Any]:
+        """Return the changes of vx, vy [m/s] and ω [rad/s] in a step, by the factors and links."""
 
     @abstractmethod
     def factors(self, physics: Physics) -> tuple[float, ...]:

@@ -7,8 +7,7 @@ from tasks.compiled import compiled
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simd.lanes import Block, as_block
-from tasks.simulation import fluids
-from tasks.simulation.fluids import Push, Rows
+from tasks.simulation.fluids import Push, Rows, push_of
 from tasks.simulation.fused_links import body_change
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
@@ -68,7 +67,7 @@ class Robots:
         self.records = np.tile(pack(designs, trees, self._rigid, depth, physics), n_members)
         self.n_robots = len(self.records)
         self._numbers = as_block(self.records.view(np.float32).reshape(-1, 1))
-        self._fluid = fluids.push_of(medium, physics, _OF_LINKS, self._numbers)
+        self._fluid = push_of(medium, physics, _OF_LINKS, self._numbers)
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states; NaN where diverged."""
