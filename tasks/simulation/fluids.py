@@ -16,7 +16,7 @@ from numba.core.errors import NumbaError
 
 from tasks.compiled import compiled, entry, inline
 from tasks.simd.lanes import Block
-from tasks.world.medium import Fluid, Medium
+from tasks.world.medium import Fluid, Medium, MediumError
 from tasks.world.physics import Physics
 
 # Of a kernel, which has its own: see _kernel.
@@ -84,7 +84,7 @@ def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block) -
     """Return a medium's kernel for an engine, compiled for blocks such as the given one; none if it has no law.
 
     Raises:
-        ValueError: the law does not compile.
+        MediumError: the law does not compile.
     """
     if not is_compiled(medium):
         return Push(0, Block(1, block.n_lanes))
@@ -96,7 +96,7 @@ def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block) -
     except NumbaError as error:
         named = re.search(r'File "(.*?)", line (\d+)', str(error))
         place = f"{named[1]}:{named[2]}" if named else medium.law.__module__
-        raise ValueError(
+        raise MediumError(
             f"{place}: {medium.law.__qualname__} does not compile: "
             "expected operators, abs, formulas and functions of tasks.simd.lanes; what needs NumPy goes into "
             "velocity_change"
