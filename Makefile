@@ -30,17 +30,17 @@ install = if [ -n "$(TORCH_INDEX)" ] || $(PIP) config list | grep -E 'index-url|
 ifneq ($(filter-out cpu cuda,$(TORCH)),)
 $(error TORCH is cpu or cuda, got $(TORCH))
 endif
-ifneq ($(filter-out cad dev search server vision,$(EXTRAS)),)
-$(error EXTRAS are cad, dev, search, server and vision, got $(EXTRAS))
+ifneq ($(filter-out cad dev docs search server vision,$(EXTRAS)),)
+$(error EXTRAS are cad, dev, docs, search, server and vision, got $(EXTRAS))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup study test torture lint ui bench clean
+.PHONY: help setup study test torture lint docs ui bench clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-7s %s\n", $$1, $$2}'
 
-setup: $(INSTALLED) $(EXTRAS:%=$(VENV)/.installed-%) ## install what a study needs (TORCH=cpu or cuda; EXTRAS=cad, dev, search, server, vision)
+setup: $(INSTALLED) $(EXTRAS:%=$(VENV)/.installed-%) ## install what a study needs (TORCH=cpu or cuda; EXTRAS=cad, dev, docs, search, server, vision)
 
 # torch comes first and by its exact version: its builds for the CPU and for CUDA differ by gigabytes. TORCH_INDEX is the
 # index that pip takes it from, if not pip's own; torch's page "Get started" has the address of each build's.
@@ -77,6 +77,9 @@ lint: $(INSTALLED_DEV) ## check style, format, types and layers alone
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+
+docs: $(VENV)/.installed-docs ## write the site of the docs, with a reference of the Python interface: build/site/index.html
+	$(VENV)/bin/mkdocs build --quiet --strict --config-file docs/site/mkdocs.yml
 
 ui: $(INSTALLED) ## open the MLflow UI on this machine's loopback
 	$(PUDDLE) ui

@@ -1,5 +1,6 @@
 """The recipes of docs/extending.md for a medium, an objective, a search, an analysis and genes, performed and run."""
 
+import contextlib
 import json
 import math
 import os
@@ -8,12 +9,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars
 import pytest
 
 import puddle
+from tasks.simulation.mjcf import mjcf
 
 ROOT = Path(__file__).parents[2]
 
@@ -69,7 +72,7 @@ best = [max(history["fitness"].to_pylist()), *history["operator"].unique().to_py
 print(json.dumps([failed, reach.num_rows, reach.column_names, [*best, champions["fitness"].to_pylist()]]))
 """
 
-HONEY, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS = re.findall(
+HONEY, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS, MUJOCO = re.findall(
     r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S
 )
 ADDED = {
@@ -105,6 +108,23 @@ def test_cma_es_outside_a_study():
     exec(CMA_ES.replace("range(60)", "range(5)"), found)
     best = puddle.simulate(found["best"], found["here"]).displacement
     assert found["score"].max() > best
+
+
+def test_an_exported_model_plays_in_mujoco(tmp_path, monkeypatch):
+    """The viewer, which needs a screen, is closed after ten seconds of simulation; the robot has moved by then."""
+    viewer = pytest.importorskip("mujoco.viewer", reason="mujoco is not installed")
+
+    @contextlib.contextmanager
+    def launched(model, data):
+        yield SimpleNamespace(is_running=lambda: data.time < 10, sync=lambda: None)
+
+    monkeypatch.setattr(viewer, "launch_passive", launched)
+    design = puddle.random_designs(12, np.random.default_rng(1))[11]
+    (tmp_path / "robot.xml").write_text(mjcf(design, 0.0))
+    assert MUJOCO.count('"results/champions/dry_land-9m-trial-0.xml"') == 1
+    played = {}
+    exec(MUJOCO.replace("results/champions/dry_land-9m-trial-0.xml", str(tmp_path / "robot.xml")), played)
+    assert abs(played["data"].qpos[0]) > 0.1
 
 
 @pytest.mark.timeout(600)
