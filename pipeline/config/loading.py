@@ -1,6 +1,6 @@
 """Loading of settings: YAML and ``--set a.b=c`` become a typed, frozen model, or errors that name the setting.
 
-Numbers are those of YAML 1.2: 050 is 50 and 1e-3 a number. A whole one may be written as 5e4.
+Numbers are those of YAML 1.2: 050 is 50, and 1e-3 a number. A whole one may be written as 5e4.
 """
 
 from __future__ import annotations
@@ -76,10 +76,7 @@ def parse(model: type[M], content: str | bytes, *, name: str, overrides: Sequenc
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads numbers as YAML 1.2, and refuses a name that appears twice.
-
-    Other words stay text: a setting that is a flag knows true and false, and one that is a number refuses them.
-    """
+    """Reads numbers as YAML 1.2, leaves other words to the setting's type, and refuses a name that appears twice."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 (PyYAML has it of each class)
 
@@ -90,26 +87,13 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-class _Dumper(yaml.SafeDumper):
-    """Quotes a text that the loader would read as a number."""
-
-
 for _tag, _pattern, _first in (
-    ("int", r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "+-0123456789"),
-    ("float", r"[-+]?((\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|\.(inf|nan))", "+-.0123456789"),
+    ("int", "[-+]?(0|[1-9][0-9]*)", "+-0123456789"),
+    ("float", r"[-+]?((\.[0-9]+|[0-9]+(\.[0-9]*|(?=[eE])))([eE][-+]?[0-9]+)?|\.(inf|nan))", "+-.0123456789"),
     ("null", "~|null|Null|NULL|", ("~", "n", "N", "")),
     ("merge", "<<", "<"),
 ):
-    for _style in (_Loader, _Dumper):
-        _style.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), _first)
-_Loader.add_constructor(
-    "tag:yaml.org,2002:int", lambda _, node: int(node.value, 0 if node.value[:2] in ("0o", "0x") else 10)
-)
-
-
-def to_yaml(settings: Any) -> str:
-    """Return the YAML that :func:`parse` reads as the same values."""
-    return yaml.dump(settings, Dumper=_Dumper, sort_keys=False)
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), _first)
 
 
 def _read(content: str | bytes, name: str) -> Any:

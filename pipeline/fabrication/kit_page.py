@@ -6,11 +6,11 @@ from importlib.resources import files
 from math import degrees
 
 import numpy as np
+import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from pipeline.config.loading import to_yaml
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.source import DesignSource
 from pipeline.report.document import absent, document, inline_svg
@@ -58,7 +58,7 @@ def render_kit(
         physics=physics,
         frequency=float(source.design.frequency[0]),
         simulated_share=physics.link_density / density if density > 0 else None,
-        settings_yaml=to_yaml(choices.model_dump(mode="json")),
+        settings_yaml=yaml.safe_dump(choices.model_dump(mode="json"), sort_keys=False),
         title=title,
         folder=folder,
         degrees=degrees,

@@ -7,7 +7,8 @@ from importlib.resources import files as package_files
 from math import degrees, tau
 from pathlib import Path
 
-from pipeline.config.loading import to_yaml
+import yaml
+
 from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_files import csv_table, write_folder
 from pipeline.fabrication.make_kit import require_cad
@@ -54,7 +55,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     for bar in bars:
         made[f"print/{bar.name}.stl"] = stl(mesh_of(plate_of(bar, settings)).on_bed())
     made["bars.csv"], made["throws.csv"] = _bars_csv(bars), csv_table(_THROW, throws)
-    made[MARKERS] = (_HEADING + to_yaml(markers.model_dump(mode="json"))).encode()
+    made[MARKERS] = (_HEADING + yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)).encode()
     body = TEMPLATES.get_template("throwing_kit.html").render(
         bars=bars,
         throws=throws,

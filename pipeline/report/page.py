@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+import yaml
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from pipeline.config.loading import to_yaml
 from pipeline.config.settings import Settings
 from pipeline.report import network_figures, transfer_figures
 from pipeline.report.document import TEMPLATES, document, inline_svg, resource
@@ -159,7 +159,7 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         heroes=heroes(page.replays),
         tables=[(one, page.rows(name)) for name, one in ANALYSES.items() if page.rows(name)],
         figures=[(one, drawings[name]) for name, one in FIGURES.items() if name in drawings],
-        settings_yaml=to_yaml(settings.model_dump(mode="json", exclude={"work"})),
+        settings_yaml=yaml.safe_dump(settings.model_dump(mode="json", exclude={"work"}), sort_keys=False),
         shown=_shown,
         html=html,
         svg=inline_svg,

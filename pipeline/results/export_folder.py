@@ -24,8 +24,8 @@ from itertools import chain
 from pathlib import Path
 
 import pyarrow.parquet as pq
+import yaml
 
-from pipeline.config.loading import to_yaml
 from pipeline.errors import PuddleError
 from pipeline.report.page import draw_all
 from pipeline.report.render import as_latex
@@ -79,7 +79,7 @@ def export_study(study: Study, out: Path, *, tables: Sequence[str] | None = None
     progress: dict[str, Json] = {name: vars(one) for name, one in study.progress.items()}
     manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
     with EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:
-        folder.write("settings.yaml", to_yaml(settings).encode())
+        folder.write("settings.yaml", yaml.safe_dump(settings, sort_keys=False).encode())
         page = read_page(study.settings, study.upstream, study.store)
         results = json.dumps(results_of(study, page), indent=1, ensure_ascii=False)
         folder.write("results.json", results.encode() + b"\n")

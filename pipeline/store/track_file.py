@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
 from pipeline.store.design_file import read_parquet
-from pipeline.store.file_kinds import decode, decompress, refuse_programs
+from pipeline.store.file_kinds import TRACKERS, decode, told_by
 from tasks.arrays import Labels
 from tasks.tracks import Bars, TrackTable
 
@@ -30,24 +30,16 @@ _NUMBERS = (*TRACK_COLUMNS[1:], *DEVIATION_COLUMNS, *BAR_COLUMNS)
 
 
 def content_of(path: Path) -> bytes:
-    """Return what a tracks file holds, decompressed; of a folder of Parquet parts, the CSV of all their rows.
-
-    CSV, because its bytes are the same under every version of pyarrow.
-
-    Raises:
-        PuddleError: it is damaged, or the folder is no table in parts.
-    """
+    """Return a file's bytes; of a folder of Parquet parts its rows as CSV, which is the same under any pyarrow."""
+    if not path.is_dir():
+        return path.read_bytes()
     try:
-        if not path.is_dir():
-            return decompress(path.read_bytes(), str(path))
         table = pq.read_table(path, use_threads=False, pre_buffer=False)
-        known = [column for column in table.column_names if column in ("throw", *_NUMBERS)]
-        if not known:
-            _require(table.column_names, TRACK_COLUMNS, str(path))
-        pa.csv.write_csv(table.select(known), csv := pa.BufferOutputStream())
-        return bytes(csv.getvalue())
+        plain = [field.name for field in table.schema if not pa.types.is_nested(field.type)]
+        pa.csv.write_csv(table.select(plain), csv := pa.BufferOutputStream())
     except pa.ArrowException as error:
-        raise PuddleError(f"{path}: expected a folder of Parquet parts, got: {error}") from None
+        raise PuddleError(f"{path}: expected a folder of Parquet parts: {error}") from None
+    return bytes(csv.getvalue())
 
 
 def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None]:
@@ -99,8 +91,11 @@ def _read_csv(text: str, name: str) -> pa.Table:
     heading, _, rows = text[named.end() if named else 0 :].partition("\n")
     separator = named[1] if named else max(",;\t", key=heading.count)
     names = [column.strip() for column in heading.split(separator)]
-    if "throw" not in names:
-        refuse_programs(text, name, ", ".join(TRACK_COLUMNS))
+    if "throw" not in names and (program := told_by(TRACKERS, text)):
+        raise PuddleError(
+            f"{name}: a table of {program}: expected the columns {', '.join(TRACK_COLUMNS)}: make them from two points "
+            f"of each bar, or a rigid body, as in docs/your-own-tank.md"
+        )
     return pa.csv.read_csv(
         pa.BufferReader((separator.join(names) + "\n" + rows).encode()),
         pa.csv.ReadOptions(use_threads=False),  # a message then names the row
@@ -129,7 +124,7 @@ def _bars(columns: Mapping[str, Any], name: str) -> Bars:
 def _require(columns: Collection[str], names: Sequence[str], name: str) -> None:
     if missing := [column for column in names if column not in columns]:
         raise PuddleError(
-            f"{name}: expected the columns {', '.join(names)}, got {', '.join(columns)[:80] or 'none'}, without "
+            f"{name}: expected the columns {', '.join(names)}, got {', '.join(columns)[:80]}, without "
             f"{', '.join(missing)}. docs/your-own-tank.md converts files of other programs."
         )
 

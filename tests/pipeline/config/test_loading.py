@@ -6,11 +6,12 @@ from typing import Any, Literal, Self
 
 import hypothesis.strategies as st
 import pytest
+import yaml
 from hypothesis import given, settings
 from pydantic import Field, model_validator
 
 from pipeline.config import loading
-from pipeline.config.loading import load, parse, preset_names, preset_path, to_yaml
+from pipeline.config.loading import load, parse, preset_names, preset_path
 from pipeline.errors import PuddleError
 from tasks.parameters import Parameters
 
@@ -100,15 +101,14 @@ def test_numbers_are_those_of_yaml_1_2(word: str, number: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "number"),
-    [("5e4", 50_000), ("9223372036854775807", 2**63 - 1), ("050", 50), ("0o17", 15), ("0x1f", 31), ("+07", 7)],
+    ("word", "number"), [("5e4", 50_000), ("9223372036854775807", 2**63 - 1), ("050", 50), ("+07", 7)]
 )
 def test_a_whole_number_may_be_written_with_an_exponent_or_zeros_before_it(word: str, number: int) -> None:
     seed = read(f"seed: {word}").seed
     assert seed == number and type(seed) is int
 
 
-@pytest.mark.parametrize("word", ["1:30", "yes", "true", "on", "0b11", "2026-11-28"])
+@pytest.mark.parametrize("word", ["1:30", "yes", "true", "on", "0b11", "0o17", "0x1f", "2026-11-28"])
 def test_what_is_no_number_in_yaml_1_2_is_refused_as_one(word: str) -> None:
     said = refused(f"grid: {{n_trials: {word}, depths: [{word}]}}")
     assert [line.partition(", ")[2] for line in said] == [
@@ -126,7 +126,7 @@ SETTINGS = st.fixed_dictionaries(
     optional={
         "seed": st.integers(0, 2**63 - 1).filter(lambda seed: seed != 13),
         "name": st.text("abcxyz", min_size=1),
-        "note": st.sampled_from(("08", "1e5", "0o17", "1:30", "true", "null", "2026-11-28", ".5", "", "<<")),
+        "note": st.sampled_from(("08", "0o17", "1:30", "true", "null", "2026-11-28", "2026", ".5", "", "<<")),
         "resume": st.booleans(),
         "batch": st.none() | st.integers(),
         "grid": st.fixed_dictionaries(
@@ -138,7 +138,7 @@ SETTINGS = st.fixed_dictionaries(
 
 @given(SETTINGS)
 def test_what_yaml_writes_loads_as_the_same_settings(chosen: dict[str, Any]) -> None:
-    assert read(to_yaml(chosen)) == Study.model_validate(chosen)
+    assert read(yaml.safe_dump(chosen)) == Study.model_validate(chosen)
 
 
 # -- overrides -------------------------------------------------------------------------------------------------------
