@@ -181,6 +181,10 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
         f"{math.degrees(noise_angle):.2g}°; a step's residual is known within (median) {sd_vx:.2g}, {sd_vy:.2g} m/s "
         f"and {sd_omega:.2g} rad/s of simulation",
     ]
+    if n_repeated := report.get("n_repeated", 0):
+        lines.append(f"warning: {n_repeated:,} more frames were dropped: they repeat the one before (phone, editor)")
+    if report.get("angle_period", math.inf) < 4:
+        lines.append("    angles are known up to half a turn, after which a bar is the same, and unwrapped so")
     if report["n_gaps"]:
         lines.append(f"    {report['n_gaps']:,} gaps between frames; {report['n_rows_in_gaps']:,} transitions left out")
     if n_contacts := np.sum(report["n_contacts"]):

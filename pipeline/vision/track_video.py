@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,12 +18,14 @@ from pipeline.vision.markers_file import Markers, TaggedBar
 from pipeline.vision.tags import Detector, lens_of_board
 from pipeline.vision.video import frames
 from tasks.arrays import Float64, Ints
+from tasks.tracks.repeats import repeated
 from tasks.vision.bar_pose import BarPose, corner_noise, fit_bar, tag_corners
 from tasks.vision.plane import CalibrationError, Lens, SeenPlane, assumed_lens, fit_plane
 from tasks.vision.throw_spans import MIN_FRAMES, throw_spans
 
 _MOST_MISFIT_PX = 2.0  # of the tank's corners; paper bends, but not by more
 _MOST_BAR_MISFIT_PX = 1.0  # of a bar's corners in its median frame; sharp ones are seen to a tenth of that
+_MOVES = 6.0  # deviations by which a bar that moves is farther on in the next picture
 _MOST_SHIFT_PX = 1.5  # of a tank tag between the halves of a video
 
 
@@ -50,6 +52,7 @@ class Track:
     pose: Float64  # (n, 3) x, y over the waterline [m] and angle [rad], unwrapped
     deviation: Float64  # (n, 3) standard deviations of the pose
     n_lost: int  # frames between its first and its last in which it is not seen
+    n_repeated: int  # frames that repeat the picture before, and are left out
     lost_from_sight: bool  # whether it ends because the bar is not seen, rather than outside the zone or at rest
 
 
@@ -197,7 +200,8 @@ def _tracked(
         for frame, fit in of_bar.items():
             pose[frame], px[frame] = fit.pose, next(noises)
             deviation[frame] = px[frame] * np.sqrt(np.diag(fit.covariance))
-        n_seen = np.array([sum(tag.number in frame for tag in bar.tags) for frame in sightings.tags])
+        n_shown = [sum(tag.number in tags for tag in bar.tags) for tags in sightings.tags]
+        n_seen = np.array([n if frame in of_bar else 0 for frame, n in enumerate(n_shown)])
         if options.robot:
             spans: list[Ints] = [np.flatnonzero(n_seen)] if n_seen.any() else []
         else:
@@ -207,7 +211,12 @@ def _tracked(
             unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
             n_lost = int(span[-1] - span[0] + 1 - len(span))
             lost_from_sight = bool((n_seen[span[-1] + 1 : span[-1] + 2] == 0).any())
-            tracks.append(Track(number, bar, span, time[span], unwrapped, deviation[span], n_lost, lost_from_sight))
+            noise_of_span = np.median(deviation[span], axis=0)
+            again = repeated(unwrapped, noise_of_span, _MOVES * noise_of_span)
+            new = span[~again]
+            if len(new) >= MIN_FRAMES or options.robot:
+                counts = n_lost, int(again.sum()), lost_from_sight
+                tracks.append(Track(number, bar, new, time[new], unwrapped[~again], deviation[new], *counts))
     if not options.robot:
         tracks.sort(key=lambda track: track.time[0])
         tracks = [replace(track, throw=first + i) for i, track in enumerate(tracks)]
@@ -232,6 +241,11 @@ def _lines(
             f"{name}: {what}, lost in {lost} of {seen + lost} frames ({lost / (seen + lost):.1%}); corners to "
             f"{noise:.2f} px, which is {1000 * x:.2f} mm and {np.degrees(angle):.2f}°"
         )
+    if n_repeated := sum(track.n_repeated for track in tracks):
+        rate = 1 / np.median(np.concatenate([np.diff(track.time) for track in tracks]))
+        lines.append(
+            f"{name}: {n_repeated} frames repeat the one before, and are left out: {rate:.1f} a second are new"
+        )
     n_cut = sum(track.lost_from_sight for track in tracks)
     if n_cut and not robot:
         lines.append(f"{name}: in {n_cut} throws the bar is lost from sight inside the tank; see the check film")
@@ -249,9 +263,13 @@ def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, 
         if shown := [number for number in own if number in tags]:
             pixels = np.concatenate([tags[number] for number in shown])
             corners = np.concatenate([own[number] for number in shown])
-            fits[frame] = fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels))
+            fit = fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels))
+            if np.isfinite([*fit.pose, fit.chi2]).all():
+                fits[frame] = fit
     squares = [fit.chi2 / fit.freedom for fit in fits.values()]
     if squares and (misfit := float(np.sqrt(np.median(squares)))) > _MOST_BAR_MISFIT_PX:
+        for tags in sightings.tags:
+            _check_turns(sightings.path, {number: tags[number] for number in own if number in tags})
         numbers = " and ".join(str(tag.number) for tag in bar.tags)
         raise PuddleError(
             f"{sightings.path}: the bar with tag{'s' * (len(bar.tags) > 1)} {numbers}: its corners fit to {misfit:.1f} "
@@ -259,6 +277,17 @@ def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, 
             f"y, tag_size) again, and see that no two tags were exchanged"
         )
     return fits
+
+
+def _check_turns(path: Path, tags: Mapping[int, Float64]) -> None:
+    """Refuse tags of one thing that are turned against each other by quarter turns."""
+    up = [(number, complex(*(four[0] + four[1] - four[2] - four[3]))) for number, four in tags.items()]
+    for number, direction in up[1:]:
+        if n_quarters := abs(round(np.angle(direction / up[0][1]) / (np.pi / 2))):
+            raise PuddleError(
+                f"{path}: tag {number} is turned by {90 * n_quarters}° against tag {up[0][0]}: expected both upright: "
+                f"glue them as their sheet shows"
+            )
 
 
 def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[SeenPlane, float]:
@@ -272,6 +301,7 @@ def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[
     except (CalibrationError, np.linalg.LinAlgError) as error:
         raise PuddleError(f"{path}: the tank's tags: {error}. Check `tank` in the markers file.") from None
     if not misfit <= _MOST_MISFIT_PX:
+        _check_turns(path, {tag.number: four for tag, four in zip(tank.corners, seen, strict=True)})
         off = np.linalg.norm(plane.pixels(metres) - np.concatenate(seen), axis=1).reshape(-1, 4).max(axis=1)
         worst = tank.corners[int(off.argmax())].number
         raise PuddleError(

@@ -39,6 +39,8 @@ class TrackReport:
     n_contacts: int  # with the walls and the floor
     n_rows_at_contacts: int  # transitions left out
     fall: Fall
+    n_repeated: int  # frames that were dropped, because they repeat the one before
+    angle_period: float  # up to which angles are known [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +132,8 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
         n_contacts=n_contacts(at),
         n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
         fall=check_falls(transitions, paths.throw[np.nonzero(usable)[0]], physics.gravity, dt),
+        n_repeated=paths.n_repeated,
+        angle_period=paths.period,
     )
     begins = at.copy()
     begins[:, 0] = True

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tasks.arrays import Bools, Float64, Int64, Labels
+from tasks.tracks.angles import folds, jumps
 from tasks.tracks.conventions import Tracks
+from tasks.tracks.repeats import repeated
 from tasks.world import froude_time
 
 MIN_FRAMES = 4  # of a throw: velocity and acceleration and one frame to judge them by
 _MAX_SPEED = 60.0  # between two frames [m/s of simulation]; the paper's throws begin at up to 28
-_MAX_TURN = 0.75 * np.pi  # between two frames; half a turn might have been either way [rad]
+_MAX_TURN = 0.375  # between two frames, over the period of angles; half a period might have been either way
+_MOVES = 3.0  # resolutions that a coordinate changes by between pictures of a bar that moves
+_STILL = 0.05  # [m], [rad] within which bars stay that are at rest, in spite of the noise
+_LEAST_FOLDS = 3  # of a file; one may be an impact
 _AWAY = 10.0  # times the usual change of a path between frames, that a jump is at least
 _LEAST_AWAY, _LEAST_TURN = (0.01, 0.05)  # [m of simulation], [rad]; less is no wrong frame
 SLOWEST_CONTACT = 0.5  # speed before and after a contact [m/s]: drag turns no bar at that speed within a frame
@@ -48,6 +53,8 @@ class Paths:
     pose: Float64  # (n_throws, n_frames, 3) x, y [m], angle, unwrapped [rad]; padding repeats the last
     sd: Float64 | None  # (n_throws, n_frames, 3) deviations of the measurements
     seen: Bools  # (n_throws, n_frames) False in padding
+    n_repeated: int = 0  # frames that were dropped
+    period: float = 2 * np.pi  # up to which angles are known: one turn, or half of one [rad]
 
     @property
     def number(self) -> Int64:
@@ -78,19 +85,23 @@ def time_scale_of(tracks: Tracks) -> float:
 
 
 def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
-    """Check a table, unwrap its angles, and convert it to the simulation.
+    """Check a table, drop repeated frames, unwrap angles, and convert it to the simulation.
 
     Throws may have gaps and uneven frames, and rows of different throws may alternate; within a throw, times increase.
 
     Raises:
-        TrackError: numbers that are not finite, times that do not increase, a throw of too few frames, or jumps that no
-            bar makes.
+        TrackError: numbers that are not finite, times that do not increase, a throw of too few frames, angles that are
+            known up to less than half a turn, bars at rest, or jumps that no bar makes.
     """
     _check_finite(table)
+    _check_angles(table, tracks)
     labels = np.unique(table.throw)
     if len(labels) < 2:
         raise TrackError(f"{len(labels)} throws, expected at least 2: networks are tested on throws that are held out")
-    rows = [np.flatnonzero(table.throw == label) for label in labels]
+    of_rows = np.stack([table.x, table.y, table.angle], axis=1)
+    moves = _MOVES * np.array([_resolution(column) for column in of_rows.T])
+    every = [np.flatnonzero(table.throw == label) for label in labels]
+    rows = [of_throw[~repeated(of_rows[of_throw], np.zeros(3), moves)] for of_throw in every]
     for label, throw_rows in zip(labels, rows, strict=True):
         _check_times(str(label), table.time[throw_rows])
     n_frames = max(map(len, rows))
@@ -100,16 +111,53 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     unit, turn = metres(tracks) / length_scale_of(tracks), np.pi / 180 if tracks.angle_unit == "deg" else 1.0
     scale = np.array([unit, unit, turn])
     sign = 1 - 2 * np.array([tracks.flip_x, tracks.flip_y, tracks.flip_angle])
-    pose = np.stack([table.x, table.y, table.angle], axis=1)[at] * (scale * sign)
-    pose[..., 2] = np.unwrap(pose[..., 2], axis=1)
+    pose = of_rows[at] * (scale * sign)
     given = (table.x_sd, table.y_sd, table.angle_sd)
     stated = [deviation for deviation in given if deviation is not None]
     sd = np.stack(stated, axis=1)[at] * scale if len(stated) == len(given) else None
     time = (table.time[at] - table.time[at[:, :1]]) / time_scale_of(tracks)
-    paths = Paths(labels, time, pose, sd, np.arange(n_frames) <= last[:, None])
+    n_repeated = len(of_rows) - sum(map(len, rows))
+    paths = _unwrapped(Paths(labels, time, pose, sd, np.arange(n_frames) <= last[:, None], n_repeated))
+    _check_moves(paths)
     _check_jumps(paths, tracks)
-    _check_angles(table, tracks)
     return paths
+
+
+def _resolution(values: Float64) -> float:
+    """Return the least difference between values, but for rounding errors."""
+    gaps = np.diff(np.unique(values))
+    return float(np.min(gaps[gaps > 1e-9 * np.abs(values).max()], initial=np.inf))
+
+
+def _unwrapped(paths: Paths) -> Paths:
+    """Unwrap angles by whole turns, or by half turns if they are known up to those; refuse what tells less."""
+    angle = np.unwrap(paths.pose[..., 2], axis=1)
+    by_quarter, by_half = (jumps(paths.time, angle, paths.seen, by) for by in (np.pi / 2, np.pi))
+    if len(at := np.argwhere(by_quarter)):
+        raise TrackError(
+            f"throw {paths.throw[at[0, 0]]}, frame {at[0, 1]}: the angle jumps by a quarter turn, and goes on as "
+            f"before: expected that of the long axis: OpenCV's minAreaRect gives that of either side: add a quarter "
+            f"turn where the width exceeds the height"
+        )
+    if len(at := np.argwhere(folds(angle, paths.seen))) >= _LEAST_FOLDS:
+        raise TrackError(
+            f"throw {paths.throw[at[0, 0]]}, frame {at[0, 1]}: the angle turns back as fast as it came, as in "
+            f"{len(at) - 1} other places: expected angles with a sign: an absolute tilt, or an inverse sine or cosine, "
+            f"does not tell to which side a bar leans"
+        )
+    period = np.pi if by_half.any() else 2 * np.pi
+    pose = np.dstack([paths.pose[..., :2], np.unwrap(angle, axis=1, period=period)])
+    return replace(paths, pose=pose, period=period)
+
+
+def _check_moves(paths: Paths) -> None:
+    """Refuse a throw in which nothing changes, and a file in which every bar stays where it is."""
+    way = np.ptp(paths.pose, axis=1)
+    if (k := first((way <= (_STILL if (way < _STILL).all() else 0.0)).all(axis=1))) is not None:
+        raise TrackError(
+            f"throw {paths.throw[k]}: the bar is at rest in all {paths.seen[k].sum()} frames, expected it to move: "
+            f"leave the throw out, and see that the bar was tracked, and not what is behind it"
+        )
 
 
 def _check_finite(table: TrackTable) -> None:
@@ -174,12 +222,13 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
         )
     _check_frames_apart(paths, tracks)
     turn = np.abs(step[..., 2])
-    if len(at := np.argwhere(both & (turn > _MAX_TURN))):
+    if len(at := np.argwhere(both & (turn > _MAX_TURN * paths.period))):
         k, frame = at[0]
         raise TrackError(
             f"throw {paths.throw[k]}, frame {frame + 1}: the bar turns by {turn[k, frame]:.3g} rad since the frame "
-            f"before, expected at most {_MAX_TURN:.3g}, or it might have turned the other way: film more frames a "
-            f"second, split the throw at a gap, and check tracks.angle_unit (rad or deg)"
+            f"before, expected at most {_MAX_TURN * paths.period:.3g}, or it might have turned the other way: remove "
+            f"frames that were tracked wrongly, film more frames a second, split the throw at a gap, and check "
+            f"tracks.angle_unit (rad or deg)"
         )
 
 

@@ -74,6 +74,6 @@ def corner_noise(chi2: Float64, freedom: Ints) -> tuple[float, Float64]:
     Returns the median frame's deviation, and (n_frames,) deviations that lean on it: a frame counts as much as its
     degrees of freedom, against 8 of the median's.
     """
-    typical = max(float(np.median(chi2 / freedom)), LEAST_NOISE_PX**2)
+    typical = max(float(np.nanmedian(chi2 / freedom)), LEAST_NOISE_PX**2)
     of_each = (_PRIOR * typical + chi2) / (_PRIOR + freedom)
     return float(np.sqrt(typical)), np.sqrt(of_each)

@@ -90,7 +90,8 @@ def moved_frame(name: str, by: float):
 
 
 def turned(table: TrackTable, per_frame: float, factor: float = 1.0) -> TrackTable:
-    return replace(table, angle=factor * np.tile(0.5 + per_frame * np.arange(len(table.time) // 4), 4))
+    turn = np.remainder(0.5 + per_frame * np.arange(len(table.time) // 4), 2 * np.pi)
+    return replace(table, angle=factor * np.tile(turn, 4))
 
 
 @pytest.mark.parametrize(
