@@ -4,12 +4,10 @@ Each group is a frozen model that rejects unknown names and non-finite numbers. 
 reason. The pipeline nests the groups in its settings, so each parameter has one default and one range.
 """
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
-from pydantic_core import CoreSchema, core_schema
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class Parameters(BaseModel):
@@ -41,14 +39,3 @@ def later_choice(default: Any, *, gt: float | None = None, le: float | None = No
         What pydantic takes as the field's default.
     """
     return Field(default=default, exclude_if=lambda value: value == default, gt=gt, le=le)
-
-
-@dataclass(frozen=True, eq=False)
-class RegisteredNames:
-    """Annotation of a string that makes pydantic accept the names of a registry and no others."""
-
-    registered: Collection[str]
-
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Accept what is registered when a model with such a field is defined."""
-        return core_schema.literal_schema(list(self.registered))

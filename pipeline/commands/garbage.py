@@ -7,6 +7,7 @@ because its record is unreadable, or because an item that it lists is gone and o
 
 from collections.abc import Iterator, Sequence
 
+from pipeline.config.settings import RecordedSettings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
@@ -41,8 +42,10 @@ def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
             path = store.manifest_path(item.stage, item.key)
             raise PuddleError(f"{path}: expected study {name}'s {item.stage} {item.label}, found no file.")
         yield item.stage, item.key
-    damage: list[str] = []
-    yield from survey(settings_of(record), STAGES, store, say=damage.append).items
+    damage, settings = list[str](), settings_of(record)
+    if isinstance(settings, RecordedSettings):
+        raise PuddleError(f"study {name}: expected the code of {', '.join(settings.missing)}, found none.")
+    yield from survey(settings, STAGES, store, say=damage.append).items
     if damage:
         raise PuddleError(damage[0])
 

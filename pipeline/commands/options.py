@@ -103,13 +103,14 @@ class SettingsOptions:
                 f"expected only one of a study's name, --preset and --settings, got {' with '.join(given)}"
             )
 
-    def settings(self) -> Settings:
+    def settings(self, *, to_compute: bool = True) -> Settings:
         """Load the settings: those on record for a study that is named, else those of a file or a preset.
 
-        Tracks that they name are read, so that the settings know their digests.
+        Tracks that they name are read, so that the settings know their digests. Code that a study on record used may be
+        missing unless it is ``to_compute``.
         """
         from pipeline.config.loading import load, parse, preset_path
-        from pipeline.config.settings import Settings
+        from pipeline.config.settings import RecordedSettings, Settings
         from pipeline.stages.tracked import with_tracks
         from pipeline.workflow.record import settings_of
 
@@ -120,8 +121,12 @@ class SettingsOptions:
         if self.study is None:
             chosen = load(Settings, self.settings_file or preset_path(self._preset), overrides)
         else:
-            recorded = settings_of(self._record(self.study)).model_dump_json()
-            chosen = parse(Settings, recorded, name=f"the settings of study {self.study}", overrides=overrides)
+            chosen = settings_of(self._record(self.study))
+            if isinstance(chosen, RecordedSettings) and (to_compute or overrides):
+                raise PuddleError(f"study {self.study}: expected the code of {', '.join(chosen.missing)}, found none")
+            if overrides:
+                text, name = chosen.model_dump_json(), f"the settings of study {self.study}"
+                chosen = parse(Settings, text, name=name, overrides=overrides)
         return with_tracks(chosen, self.tracks)
 
     @property

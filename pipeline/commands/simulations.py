@@ -47,7 +47,7 @@ def simulate_design(
 
     In an ensemble the median member is shown.
     """
-    settings, design = options.settings(), load_design(path)
+    settings, design = options.settings(to_compute=False), load_design(path)
     name = _checked(settings, environment, depth)
     kind = "" if out is None else output_suffix(out, (*RENDERERS, _PAGE))
     networks: _Networks = {}
@@ -63,11 +63,10 @@ def simulate_design(
     lines = [f"{label}, {depth:g} m deep, {n_steps * settings.physics.time_step:.0f} s:"]
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, centre of mass {whole:+.3f} m")
-    if at.is_ensemble:
+    if at.is_ensemble and (objective := OBJECTIVES.get(settings.evolution.objective)):
         fitness, simulation = environments.fitness_spec(settings, name), environments.simulation_spec(settings, name)
         scores = environments.evaluate_designs(design, simulation, Execution(settings.work.engine), at, fitness)
         members = ", ".join(f"{value:+.2f}" for value in scores.displacement[0])
-        objective = OBJECTIVES[fitness.objective]
         lines.append(
             f"  members {members} m; fitness ({objective.label.lower()}) {scores.fitness[0]:+.3f} {objective.unit}"
         )
@@ -113,8 +112,10 @@ def score_designs(
     path: Path, environment: str | None, depth: float, out: Path | None, options: SettingsOptions
 ) -> Iterator[str]:
     """Score the designs of a table; yield lines that summarise the scores."""
-    settings = options.settings()
-    name = _checked(settings, environment, depth)
+    settings = options.settings(to_compute=False)
+    name, objective = _checked(settings, environment, depth), settings.evolution.maximised
+    if objective.name not in OBJECTIVES:
+        raise PuddleError(f"study {settings.name}: expected the code of its objective {objective.name}, found none")
     if out is not None:
         output_suffix(out, (".parquet", ".csv"))
     designs = open_designs(path)
@@ -137,7 +138,6 @@ def score_designs(
     table = {"design": np.arange(len(designs)), **table}
     label, n_diverged = environment_kind(name).label, int(table["diverged"].sum())
     yield f"{label}, {depth:g} m deep: {len(designs)} design{'s' * (len(designs) != 1)}, {n_diverged} diverged"
-    objective = OBJECTIVES[settings.evolution.objective]
     finite = table["fitness"][~table["diverged"]]
     if len(finite):
         mean, median, best = (

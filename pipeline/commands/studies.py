@@ -41,10 +41,11 @@ def status(options: StudyOptions, as_json: AsJson = False) -> None:
     from pipeline.workflow.record import differences as differences_of
     from pipeline.workflow.record import settings_of
 
-    store, settings = options.open_store(), options.settings()
+    store, settings = options.open_store(), options.settings(to_compute=False)
     record = store.read_study(settings.name)
-    differences = differences_of(record.settings, settings.model_dump(mode="json")) if record else []
-    found = study_status(settings_of(record) if record else settings, store, record, with_diverged=True)
+    recorded = settings_of(record) if record else settings
+    differences = differences_of(recorded, settings)
+    found = study_status(recorded, store, record, with_diverged=True)
     if as_json:
         print_json({**asdict(found), "done": found.is_done, "settings_differ": differences})
         return
@@ -183,7 +184,7 @@ def settings(options: StudyOptions) -> None:
     """
     from pipeline.config.annotated import annotated_lines
 
-    to_stdout(*annotated_lines(options.settings()))
+    to_stdout(*annotated_lines(options.settings(to_compute=False)))
 
 
 def _opened(study: str, store: Path) -> Study:

@@ -89,10 +89,9 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
     stages: list[StageStatus] = []
     any_open = False  # a driver runs the stages in order: the first open one is the one that runs
     for stage in STAGES:
-        chains, results = stage.plan(settings), found.upstream[stage.name]
-        n_of = {chain.label: results.n_done.get(chain.identity, 0) for chain in chains}
-        finished = {chain.label for chain in chains if chain.identity in results.done}
-        n_done, n_items = sum(n_of.values()), sum(chain.n_items for chain in chains)
+        chains, results = found.chains[stage.name], found.upstream[stage.name]
+        finished = {one.chain.label for one in chains if one.finished}
+        n_done, n_items = sum(len(one.manifests) for one in chains), sum(one.chain.n_items for one in chains)
         if len(finished) == len(chains):
             state = "done" if chains else "not needed"
         elif driver and not any_open:
@@ -112,8 +111,8 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
                 state,
                 n_done,
                 n_items,
-                sum(sum(chain.units[: n_of[chain.label]]) for chain in chains),
-                sum(sum(chain.units) for chain in chains),
+                sum(sum(one.chain.units[: len(one.manifests)]) for one in chains),
+                sum(sum(one.chain.units) for one in chains),
                 stage.unit,
                 results.seconds,
                 {label: why for label, why in failed[stage.name].items() if label not in finished},

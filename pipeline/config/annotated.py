@@ -32,6 +32,7 @@ def _fields(group: BaseModel, indent: str) -> Iterator[str]:
             default = field.get_default(call_default_factory=True)
             differs = "" if field.is_required() or value == default else f"  # default: {_value(default)}"
             yield f"{indent}{name}: {_value(value)}{differs}"
+    yield from (f"{indent}{name}: {_value(value)}" for name, value in (group.model_extra or {}).items())
 
 
 def _choices(field: FieldInfo) -> str:

@@ -4,13 +4,13 @@ The defaults are the paper's study ([P] marks its values). A file in configs/ st
 scientific parameters are declared beside the equations that use them, in tasks/.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import eq
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationError, create_model, model_validator
+from pydantic import Field, ValidationError, create_model, field_validator, model_serializer, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
@@ -21,6 +21,7 @@ from tasks.evolution import (
     SEARCHES,
     Afpo,
     Deviation,
+    Objective,
     ObjectiveName,
     Optimiser,
     SearchName,
@@ -30,12 +31,19 @@ from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
 from tasks.residual.wetted import acts_above_water
 from tasks.tracks.conventions import Tracks
-from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush, in_order
+from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush, environment_kind, in_order
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
 
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 DEEPEST = 1000.0  # greatest depth of the ground [m]
+
+IN_EVERY_RECORD = (
+    *("true_slush", "dry_land", "residual_slush", "single_member", "designed_throws", "designed_single_member"),
+    *("randomised_slush", "anisotropic_slush", "flowing_slush"),
+)
+"""Environments that every study records, used or not: keys of pages depend on them. Others, only a study that uses
+them."""
 
 Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
 
@@ -139,14 +147,22 @@ class EvolutionSettings(Parameters):
     @property
     def optimiser(self) -> Optimiser:
         """The search, with its settings."""
-        chosen: Optimiser = getattr(self, self.search)
+        unknown: Any = {}  # in a record of code that is not here
+        chosen: Optimiser = getattr(self, self.search, unknown)
         return chosen
+
+    @property
+    def maximised(self) -> Objective:
+        """The objective; its name alone where a study recorded one whose code is not here."""
+        unknown: Any = None
+        named = Objective(self.objective, self.objective, "", unknown, over_depths=self.objective_depths is not None)
+        return OBJECTIVES.get(self.objective, named)
 
     @model_validator(mode="after")
     def _depths_belong_to_the_objective(self) -> Self:
         if self.objective_depths is None:
             return self
-        if not OBJECTIVES[self.objective].over_depths:
+        if not self.maximised.over_depths:
             over = " or ".join(name for name, objective in OBJECTIVES.items() if objective.over_depths)
             raise ValueError(
                 f"objective_depths are given, but objective is {self.objective}, which is measured at the depth of the "
@@ -159,11 +175,17 @@ class EvolutionSettings(Parameters):
 class TransferSettings(Parameters):
     """Tests of champions in the target."""
 
-    adapted_environments: tuple[EnvironmentName, ...] = tuple(ENVIRONMENTS)
+    adapted_environments: tuple[EnvironmentName, ...] = IN_EVERY_RECORD
     """Environments whose champions' controllers are evolved again from scratch in the target, with frozen bodies. The
-    default is all, and the study's own learners."""
+    default is all, further media and the study's own learners, too."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each adaptation. [P]"""
+
+    @field_validator("adapted_environments")
+    @classmethod
+    def _all(cls, given: tuple[EnvironmentName, ...]) -> tuple[EnvironmentName, ...]:
+        """Take the default for a list of all: earlier records name further media, too."""
+        return IN_EVERY_RECORD if set(IN_EVERY_RECORD) <= set(given) else given
 
 
 class AssessSettings(Parameters):
@@ -240,6 +262,13 @@ class Settings(Parameters):
     def __repr__(self) -> str:
         return "\n".join(["Settings(", *(f"    {name}={value!r}," for name, value in self.__repr_args__()), ")"])
 
+    @model_serializer(mode="wrap")
+    def _without_unused(self, write: Callable[[Self], dict[str, Any]]) -> dict[str, Any]:
+        """Leave out the groups of registered media that the study does not use."""
+        named = (*IN_EVERY_RECORD, self.target, *self.grid.environments)
+        unused = settings_groups().keys() - {environment_kind(name).settings_group for name in named}
+        return {name: value for name, value in write(self).items() if name not in unused}
+
     @model_validator(mode="after")
     def _target_is_an_arm(self) -> Self:
         if self.target != PAPERS_TARGET and "environments" not in self.grid.model_fields_set:
@@ -249,6 +278,8 @@ class Settings(Parameters):
 
     @model_validator(mode="after")
     def _groups_agree(self) -> Self:
+        if isinstance(self, RecordedSettings):
+            return self  # they did when they were recorded
         if self.physics.passive_joints == "locked" and self.evolution.morphology.n_actuated is None:
             raise ValueError(
                 "physics.passive_joints is locked, so motors decide which links form one body: "
@@ -310,7 +341,7 @@ class Settings(Parameters):
             )
 
     def _check_learners(self) -> None:
-        """Refuse learners that contradict the study's groups, and arms of neither a medium nor a learner."""
+        """Refuse learners that contradict the study's groups, and names of what does not exist."""
         ensembles = [name for name, one in {**BUILT_IN, **self.learners}.items() if one.single is None]
         for name, given in self.learners.items():
             if name in (*ENVIRONMENTS, *THROWS_GROUPS.values()):
@@ -338,6 +369,8 @@ class Settings(Parameters):
             ("target", (self.target,), media),
             ("grid.environments", self.grid.environments, known),
             ("transfer.adapted_environments", self.transfer.adapted_environments, known),
+            ("evolution.objective", (self.evolution.objective,), tuple(OBJECTIVES)),
+            ("evolution.search", (self.evolution.search,), tuple(SEARCHES)),
         ):
             for name in names:
                 if name not in allowed:
@@ -353,19 +386,19 @@ class Settings(Parameters):
     def _check_objective(self) -> None:
         """Refuse an objective without its data."""
         objective, n_motors = self.evolution.objective, self.evolution.morphology.n_actuated
-        if OBJECTIVES[objective].over_depths and len(self.objective_depths) < 2:
+        if self.evolution.maximised.over_depths and len(self.objective_depths) < 2:
             raise ValueError(
                 f"evolution.objective is {objective}, but evolution.objective_depths, or grid.depths where they are "
                 f"null, has {len(self.objective_depths)} depth: expected at least 2"
             )
-        if OBJECTIVES[objective].motor_work and (self.physics.max_motor_torque == 0 or n_motors == 0):
+        if self.evolution.maximised.motor_work and (self.physics.max_motor_torque == 0 or n_motors == 0):
             which = "evolution.morphology.n_actuated" if n_motors == 0 else "physics.max_motor_torque"
             raise ValueError(f"evolution.objective is {objective}, but {which} is 0: expected motors that do work")
 
     @property
     def objective_depths(self) -> tuple[float, ...]:
         """Depths over which the objective is the mean [m]; none if it is measured at the depth of the trial alone."""
-        if not OBJECTIVES[self.evolution.objective].over_depths:
+        if not self.evolution.maximised.over_depths:
             return ()
         depths = self.evolution.objective_depths
         return self.grid.depths if depths is None else depths
@@ -373,7 +406,7 @@ class Settings(Parameters):
     @property
     def selected_for(self) -> str:
         """What designs and adapted controllers are selected for, in words."""
-        return OBJECTIVES[self.evolution.objective].in_words(self.objective_depths)
+        return self.evolution.maximised.in_words(self.objective_depths)
 
     @property
     def assessed_depth(self) -> float:
@@ -384,12 +417,12 @@ class Settings(Parameters):
     def is_adapted(self, environment: EnvironmentName) -> bool:
         """Return whether the controllers of champions of an environment adapt to the target."""
         adapted = self.transfer.adapted_environments
-        return environment in adapted or adapted == TransferSettings().adapted_environments
+        return environment in adapted or adapted == IN_EVERY_RECORD
 
     @property
     def target_label(self) -> str:
         """The target as readers know it."""
-        return ENVIRONMENTS[self.target].label
+        return environment_kind(self.target).label
 
     @property
     def target_medium(self) -> Medium | None:
@@ -435,3 +468,20 @@ class Settings(Parameters):
         """The learners of the arms' ensembles, by data set; the first ensemble is the main one."""
         arms = sorted(self.arm_learners.values(), key=lambda one: one.is_single)
         return {one.data_set: replace(one, is_single=False) for one in arms}
+
+
+class RecordedEvolution(EvolutionSettings, extra="allow"):
+    """An evolution, by a search that may not be here any more."""
+
+
+class RecordedSettings(Settings, extra="allow"):
+    """Settings as a study recorded them, also those of code that is not here: it can be shown, but not computed."""
+
+    evolution: RecordedEvolution = RecordedEvolution()
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of what has settings or is used, and has no code."""
+        names = {*(self.model_extra or {}), *(self.evolution.model_extra or {})}
+        names |= {self.target, *self.grid.environments} - {*ENVIRONMENTS, *self.learners}
+        return sorted(names | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})

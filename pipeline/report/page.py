@@ -26,7 +26,7 @@ from pipeline.report.transfer_figures import Curves
 from tasks.analysis import paper
 from tasks.analysis.registry import Analysis, Assessed, percent
 from tasks.analysis.tables import ANALYSES
-from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
+from tasks.evolution import PAPERS_OBJECTIVE
 from tasks.world import environment_kind
 
 _POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
@@ -95,9 +95,7 @@ FIGURES: Mapping[str, PageFigure] = {
         "Fitness by generation",
         "evolution",
         "Best fitness so far in the environment where the robots evolve: means over trials, bands of ± 1 SD.",
-        lambda page: transfer_figures.fitness_curves(
-            page.curves, OBJECTIVES[page.settings.evolution.objective].unit, page.looks
-        ),
+        lambda page: transfer_figures.fitness_curves(page.curves, page.settings.evolution.maximised.unit, page.looks),
     ),
     "elites": PageFigure(
         "The fittest robot of each kind of body",
@@ -137,7 +135,7 @@ def _drawn(one: PageFigure, page: StudyPage) -> tuple[Figure, str]:
 def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
     """Write the page of a study."""
     settings = page.settings
-    objective = OBJECTIVES[settings.evolution.objective]
+    objective = settings.evolution.maximised
     depth = max((row.depth for row in page.rows("transfer") if row.zero_shot.value is not None), default=None)
     known = {replay.robot for replay in page.replays}
 

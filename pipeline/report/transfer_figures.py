@@ -27,7 +27,6 @@ from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.elites import Elite
 from tasks.analysis.tables.transfer import TransferRow
 from tasks.arrays import Float64
-from tasks.evolution import OBJECTIVES
 from tasks.evolution.map_elites import MEASURES, MapElites
 from tasks.world import environment_kind
 
@@ -180,5 +179,5 @@ def elites(rows: Sequence[Elite], evolution: EvolutionSettings, looks: Mapping[s
         panel.set_title(f"{environment_kind(name).label}, {depth:g} m")
     figure.supxlabel("body length at rest [m]")
     figure.supylabel("body size: sum of links [m]")
-    figure.colorbar(image, ax=list(panels), label=f"fitness [{OBJECTIVES[evolution.objective].unit}]")
+    figure.colorbar(image, ax=list(panels), label=f"fitness [{evolution.maximised.unit}]")
     return figure

@@ -12,9 +12,6 @@ from pipeline.workflow.record import setting_changes
 from tasks.analysis.comparison import Comparison, compare
 from tasks.analysis.scores import QUANTITIES, arms
 from tasks.world import environment_kind, in_order
-from tasks.world.registry import settings_groups
-
-_OF_DISPLACEMENT = ("physics", "target", *settings_groups(), "rollout")  # settings that decide what a displacement is
 
 SUFFIXES = (".html", *WRITERS)
 SAID_ABOVE = ("b",)  # column that a heading makes superfluous: B is the same study or arm in every row
@@ -72,7 +69,9 @@ def compare_studies(a: Study, b: Study) -> Compared:
             f"studies {a.name} and {b.name} have no champions of the same environment at the same depth: expected "
             f"some in both, got {listed[0] or 'none'} in {a.name} and {listed[1] or 'none'} in {b.name}"
         )
-    physical = [name for name, _, _ in changes if name.split(".")[0] in _OF_DISPLACEMENT]
+    used = (name for study in (a, b) for name in (study.settings.target, *study.settings.grid.environments))
+    of_displacement = ("physics.", "rollout.", *(f"{environment_kind(name).settings_group or name}." for name in used))
+    physical = [name for name, _, _ in changes if name == "target" or name.startswith(of_displacement)]
     caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
     return Compared(f"{a.name} against {b.name}", f"study {a.name}", f"study {b.name}", changes, rows, caution)
 

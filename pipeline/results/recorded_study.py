@@ -31,7 +31,6 @@ from pipeline.workflow.stage import Execution, Upstream
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TransferRow, transfer_rows
 from tasks.design import Designs
-from tasks.evolution import OBJECTIVES
 from tasks.simulation import Rollouts
 from tasks.world import ENVIRONMENTS
 
@@ -100,13 +99,12 @@ class Study:
     def progress(self) -> dict[str, StageProgress]:
         """Work items that are done, failed and missing, by stage."""
         found = {}
-        for stage in STAGES:
-            results, chains = self.upstream[stage.name], stage.plan(self.settings)
-            labels = {one.label for one in self.record.failed if one.stage == stage.name}
-            n_left = {chain.identity: chain.n_items - results.n_done.get(chain.identity, 0) for chain in chains}
-            n_failed = sum(n for identity, n in n_left.items() if identity.label in labels)
-            n_done = sum(chain.n_items for chain in chains) - sum(n_left.values())
-            found[stage.name] = StageProgress(n_done, n_failed, sum(n_left.values()) - n_failed)
+        for name, chains in self._recorded.chains.items():
+            labels = {one.label for one in self.record.failed if one.stage == name}
+            n_left = {one.chain.label: one.chain.n_items - len(one.manifests) for one in chains}
+            n_failed = sum(n for label, n in n_left.items() if label in labels)
+            n_done = sum(len(one.manifests) for one in chains)
+            found[name] = StageProgress(n_done, n_failed, sum(n_left.values()) - n_failed)
         return found
 
     @property
@@ -151,7 +149,7 @@ class Study:
         if name == CHAMPIONS:
             yield self.champions()
         else:
-            yield from parts_of(name, self.upstream[SOURCES[name].stage], self.store, only=only)
+            yield from parts_of(name, self.upstream, self.store, only=only)
 
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.
@@ -167,7 +165,7 @@ class Study:
                 values = scores.by_name() if scores else {}
                 rows.append({**keys_of(trial), **values, "design_json": design})
         about = {**described(ScoredTrial), "design_json": {"meaning": "Content of a design file."}}
-        about["fitness"] = {**about["fitness"], "unit": OBJECTIVES[self.settings.evolution.objective].unit}
+        about["fitness"] = {**about["fitness"], "unit": self.settings.evolution.maximised.unit}
         fields = [field_of(name, kind, about[name]) for name, kind in _CHAMPION_COLUMNS.items()]
         return pa.Table.from_pylist(rows, schema=pa.schema(fields))
 
@@ -256,13 +254,14 @@ class Study:
         return environments.ensemble_of(networks)
 
     def _check(self, only: Mapping[str, Any]) -> None:
-        """Refuse values of keys that no trial of the study has."""
-        trials = trials_of(self.settings, "evolve")
+        """Refuse values of keys that no trial of the study has, together with those before them."""
+        trials, where = [keys_of(trial) for trial in trials_of(self.settings, "evolve")], f"study {self.name}"
         for key, value in only.items():
-            known = list(dict.fromkeys(keys_of(trial)[key] for trial in trials))
+            known = list(dict.fromkeys(trial[key] for trial in trials))
             if value not in known:
                 listed = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in known)
-                raise PuddleError(f"study {self.name}: {key}: expected one of {listed}, got {value!r}")
+                raise PuddleError(f"{where}: {key}: expected one of {listed}, got {value!r}")
+            trials, where = [trial for trial in trials if trial[key] == value], f"{where}, {key} {value}"
 
     def _why_no_table(self, name: str) -> str:
         if name in SOURCES:

@@ -75,27 +75,30 @@ KEYS: Mapping[str, pa.DataType] = {"environment": pa.string(), "depth": pa.float
 _UNITS = {"environment": "", "depth": "m", "trial": "", "operator": ""}
 
 
-def available(upstream: Upstream) -> list[str]:
-    """Return the names of the tables that have rows in the store."""
-    return [name for name, source in SOURCES.items() if source.files(upstream[source.stage])]
+def available(upstream: Upstream) -> dict[str, TableSource]:
+    """Return the tables that have rows in the store, by name; also those of analyses whose code is not here."""
+    specs = [manifest.identity["spec"] for (manifest,) in upstream["analyse"].done.values()]
+    made = {spec["analysis"]: TableSource("analyse", spec["analysis"], spec["version"]) for spec in specs}
+    sources = {**made, **SOURCES}
+    return {name: source for name, source in sources.items() if source.files(upstream[source.stage])}
 
 
 def about(name: str) -> str:
-    """Say in a sentence what a table holds."""
-    return _ABOUT[name] if name in _ABOUT else ANALYSES[name].answers
+    """Say in a sentence what a table holds; "" of an analysis whose code is not here."""
+    return _ABOUT.get(name) or (ANALYSES[name].answers if name in ANALYSES else "")
 
 
-def parts_of(name: str, results: Results, store: Store, *, only: Mapping[str, Any]) -> Iterator[pa.Table]:
+def parts_of(name: str, upstream: Upstream, store: Store, *, only: Mapping[str, Any]) -> Iterator[pa.Table]:
     """Yield the rows of a table, one Arrow table for each chain.
 
     Args:
-        name: name of the table.
-        results: what the store holds of the table's stage.
+        name: name of the table, one of those available.
+        upstream: what the store holds of each stage.
         store: where it is.
         only: values of keys that chains must have, if they have the key.
     """
-    source = SOURCES[name]
-    for chain, files in source.files(results).items():
+    source = available(upstream)[name]
+    for chain, files in source.files(upstream[source.stage]).items():
         keys = keys_of(chain)
         if any(keys.get(key, value) != value for key, value in only.items()):
             continue

@@ -87,11 +87,11 @@ def read_columns(files: Files, one: Analysis) -> Columns:
 
 
 def read_tables(done: Mapping[OutputId, Files]) -> dict[str, list[Any]]:
-    """Return the rows of every analysis, joined over its work items."""
+    """Return the rows of every analysis whose code is here, joined over its work items."""
     tables: dict[str, list[Any]] = {}
     for part, files in done.items():
-        one = ANALYSES[part.name]
-        tables.setdefault(part.name, []).extend(rows_of(one.row, read_columns(files, one)))
+        if one := ANALYSES.get(part.name):
+            tables.setdefault(part.name, []).extend(rows_of(one.row, read_columns(files, one)))
     return tables
 
 

@@ -67,6 +67,8 @@ def build_environment(
         networks: its members, if it has any.
     """
     kind = environment_kind(name)
+    if kind.learned and not networks:
+        raise PuddleError(f"{name}: expected the code of the medium, found none")
     return kind.environment(depth, media, ensemble_of(networks) if kind.learned else None)
 
 
@@ -113,7 +115,8 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
         return 1
     if environment_kind(environment).learned:  # an ensemble fills the lanes; single members differ between trials
         return 1
-    return n_that_fill_lanes(settings.evolution.optimiser.population_size, settings.physics)
+    size = getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here
+    return n_that_fill_lanes(size, settings.physics)
 
 
 def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
@@ -126,7 +129,8 @@ def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many members simulate each design in an environment, 1 without an ensemble."""
     if learner := settings.learner(environment):
         return 1 if learner.is_single else learner.n_members
-    return environment_kind(environment).environment(0.0, media_of(settings, environment)).n_members
+    kind = environment_kind(environment)  # neither a learner's nor known: code that is not here
+    return 1 if kind.learned else kind.environment(0.0, media_of(settings, environment)).n_members
 
 
 def network_flops(network: Architecture) -> int:

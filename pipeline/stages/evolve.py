@@ -14,7 +14,6 @@ from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, trials_of
 from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, Upstream
-from tasks.evolution import OBJECTIVES
 
 
 def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
@@ -49,7 +48,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         final = float(curve["best_fitness"][-1])
         best.setdefault(trial.arm, []).append(final)
         curves.append(curve)
-    unit = OBJECTIVES[settings.evolution.objective].unit
+    unit = settings.evolution.maximised.unit
     lines = [f"fitness: {settings.selected_for} [{unit}]"] if best else []
     metrics = {"n_diverged": float(sum(curve["n_diverged"].sum() for curve in curves))}
     for arm, fitness in best.items():

@@ -37,7 +37,6 @@ STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
 WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."  # advice for a study's record
-_GONE_GROUPS = {"pilot"}  # settings of earlier versions, on which no result of today's stages depends
 
 _WAIT = "Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
 
@@ -150,8 +149,7 @@ class Store(Items):
         try:
             data = path.read_bytes()
             body = decode_document(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
-            settings = {group: chosen for group, chosen in body["settings"].items() if group not in _GONE_GROUPS}
-            return _RECORD.validate_python({**body, "settings": settings})
+            return _RECORD.validate_python(body)
         except FileNotFoundError:
             return None
         except (DamagedArtifact, KeyError, AttributeError, ValidationError) as error:

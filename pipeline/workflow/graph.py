@@ -9,14 +9,16 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pipeline.config.settings import Settings
+from pipeline.config.settings import RecordedSettings, Settings
 from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.code_digest import is_of_other_code
+from pipeline.workflow.identity import OutputId
 from pipeline.workflow.record import settings_of
 from pipeline.workflow.stage import AnyStage, Chain, Failure, Item, MissingInputs, Results, Upstream
 
@@ -77,8 +79,13 @@ class StageRun:
         Args:
             recorded: keys of items by stage and label of their chain; they count whatever today's code makes of them.
         """
+        planned = list(self.stage.plan(self.settings))
+        known = {chain.label for chain in planned}
+        gone = [label for stage, label in recorded if stage == self.stage.name and label not in known]
+        if planned and isinstance(planned[0].identity, OutputId):  # whose label says all, also of one without code here
+            planned += [Chain(OutputId(label), (1,), None) for label in gone]
         progress = []
-        for chain in self.stage.plan(self.settings):
+        for chain in planned:
             keys = recorded.get((self.stage.name, chain.label))
             progress.append(self._planned(chain) if keys is None else self._recorded(chain, keys))
         return progress
@@ -95,7 +102,8 @@ class StageRun:
         units = chain.units if len(chain.units) == len(keys) else chain.units[:1] * len(keys)
         progress = ChainProgress(replace(chain, units=units))
         for index, key in enumerate(keys):
-            if len(progress.manifests) == index:
+            has_code = chain.spec is not None and not isinstance(self.settings, RecordedSettings)
+            if has_code and len(progress.manifests) == index:
                 with contextlib.suppress(MissingInputs):
                     progress.elsewhere |= self.next_item(progress).key != key
             try:
@@ -155,6 +163,7 @@ class Survey:
     chains: Mapping[str, Sequence[ChainProgress]]
     upstream: Upstream
     elsewhere: tuple[str, ...]  # stages that today's code and settings would give other keys than the record
+    missing: tuple[str, ...]  # names of what the record has settings or results of, and no code is here
 
     @property
     def items(self) -> set[tuple[str, str]]:
@@ -162,13 +171,14 @@ class Survey:
         return {(stage, one.key) for stage, chains in self.chains.items() for each in chains for one in each.manifests}
 
     def note(self, name: str) -> str:
-        """Say in a line that today's code leads elsewhere, or that other code made results; "" if neither."""
-        if not self.elsewhere:
-            return other_code(self.upstream)
-        return (
-            f"study {name}: shown as it was recorded. Today's code leads its settings to other results of "
-            f"{', '.join(self.elsewhere)}; `puddle study {name}` computes them."
-        )
+        """Say in a line what code is missing, that today's leads elsewhere, or that other code made results; or ""."""
+        said = f"study {name}: shown as it was recorded. "
+        if self.missing:
+            said += f"The code of {', '.join(self.missing)} is not here. "
+        if self.elsewhere:
+            said += f"Today's code leads its settings to other results of {', '.join(self.elsewhere)}; "
+            said += f"`puddle study {name}` computes them."
+        return said.rstrip() if self.missing or self.elsewhere else other_code(self.upstream)
 
 
 def survey(
@@ -184,7 +194,9 @@ def survey(
     Recorded items count by their keys, if the record is of these settings; others where the settings lead.
     """
     keys: dict[tuple[str, str], list[str]] = {}
+    missing: list[str] = []
     if record is not None and settings_of(record) == settings:
+        missing += RecordedSettings.model_validate(record.settings).missing
         for item in record.items:  # in the order of their chains
             keys.setdefault((item.stage, item.label.rpartition("#")[0]), []).append(item.key)
     read = {name for stage in stages for name in stage.reads(settings)}  # not the page, which names its versions
@@ -195,7 +207,9 @@ def survey(
         chains[stage.name] = run.chains(keys)
         upstream[stage.name] = results_of(stage, chains[stage.name])
     led = (name for name, own in chains.items() if name in read and any(one.elsewhere for one in own))
-    return Survey(chains, upstream, tuple(led))
+    gone = (made for own in chains.values() for one in own if one.chain.spec is None for made in one.manifests)
+    missing += [Path(file).stem for made in gone for file in made.files]
+    return Survey(chains, upstream, tuple(led), tuple(dict.fromkeys(missing)))
 
 
 def discard_items(settings: Settings, names: Collection[str], stages: Sequence[AnyStage], store: Store) -> int:
@@ -204,9 +218,9 @@ def discard_items(settings: Settings, names: Collection[str], stages: Sequence[A
     The caller has locked the store against drivers of studies.
     """
     items = survey(settings, stages, store).items
-    with contextlib.suppress(DamagedArtifact):
+    with contextlib.suppress(PuddleError):
         record = store.read_study(settings.name)
-        if record is not None and record.settings == settings.model_dump(mode="json"):  # behind something missing, too
+        if record is not None and settings_of(record) == settings:  # behind something missing, too
             items |= {(item.stage, item.key) for item in record.items}
     discarded = sorted(item for item in items if item[0] in names)
     for item in discarded:

@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic_core import to_jsonable_python
 
-from pipeline.config.settings import Settings
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.config.settings import RecordedSettings, Settings
+from pipeline.errors import PuddleError
 from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
 from pipeline.workflow.stage import Upstream
 from tasks.discovery import FAILURES
@@ -21,16 +22,17 @@ class DrivenStudy:
     def __init__(self, settings: Settings, store: Store, say: Callable[[str], None], source: str = "") -> None:
         """Put the study's settings on record; ``source`` is "preset laptop", or the path of the file they come from."""
         self._store = store
-        self._record = StudyRecord(settings.name, settings.model_dump(mode="json"), (), source=source)
+        self._record = StudyRecord(settings.name, to_record(settings), (), source=source)
+        changes: list[str] = []
         try:
             before = store.read_study(settings.name)
-        except DamagedArtifact as damage:
-            say(f"{damage}")
+            changes = differences(settings_of(before), settings) if before else []
+        except PuddleError as problem:
+            say(f"{problem}")
             before = None
-        if before is not None and before.settings == self._record.settings:
-            self._record = replace(before, source=source or before.source)
+        if before is not None and not changes:
+            self._record = replace(before, settings=self._record.settings, source=source or before.source)
         elif before is not None:
-            changes = differences(before.settings, self._record.settings)
             listed = ", ".join(changes[:4]) + (f" and {len(changes) - 4} more" if len(changes) > 4 else "")
             say(
                 f"study {settings.name} is on record with different settings ({listed}). This run replaces its report. "
@@ -76,11 +78,26 @@ def preset_of(source: str) -> str:
     return source.removeprefix("preset ") if source.startswith("preset ") else ""
 
 
+def to_record(settings: Settings) -> dict[str, Any]:
+    """Return settings as they are recorded: with those of the search, even where these are its defaults."""
+    written = settings.model_dump(mode="json")
+    written["evolution"][settings.evolution.search] = to_jsonable_python(settings.evolution.optimiser)
+    return written
+
+
 def settings_of(record: StudyRecord) -> Settings:
-    """Return the settings of a recorded study; refuse those of another version of puddle, with other fields."""
+    """Return the settings of a recorded study: RecordedSettings where it used code that is not here.
+
+    Raises:
+        PuddleError: they are those of another version of puddle, with other fields.
+    """
+    recorded = None
     try:
-        return Settings.model_validate(record.settings)
+        recorded = RecordedSettings.model_validate(record.settings)
+        return Settings.model_validate(record.settings, extra="ignore")  # groups that it did not use
     except ValidationError as error:
+        if recorded and recorded.missing:
+            return recorded
         first = error.errors()[0]
         why = "; ".join([f"{'.'.join(map(str, first['loc']))}: {first['msg']}", *FAILURES])
         raise PuddleError(
@@ -101,6 +118,7 @@ def setting_changes(old: Any, new: Any, name: str = "") -> list[tuple[str, Any, 
     return [] if old == new else [(name, old, new)]
 
 
-def differences(old: Any, new: Any) -> list[str]:
-    """Return one line per setting that differs between two settings as JSON values, with both values."""
-    return [f"{name}: {json.dumps(one)} → {json.dumps(other)}" for name, one, other in setting_changes(old, new)]
+def differences(old: Settings, new: Settings) -> list[str]:
+    """Return one line per setting that differs between two settings, with both values."""
+    changes = setting_changes(to_record(old), to_record(new))
+    return [f"{name}: {json.dumps(one)} → {json.dumps(other)}" for name, one, other in changes]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.design.genes import DTYPES, N_COLUMNS, DesignTable
 from tasks.design.morphology import Drawn
 from tasks.evolution.objectives import Evaluation
-from tasks.parameters import Parameters, RegisteredNames
+from tasks.parameters import Parameters
 
 NO_PARENT = -1  # identity of a parent that a child does not have
 
@@ -141,7 +141,7 @@ SEARCHES: dict[str, Search] = {}  # searches by name
 
 PAPERS_SEARCH = "afpo"
 
-SearchName = Annotated[str, RegisteredNames(SEARCHES)]  # name of a registered search
+SearchName: TypeAlias = str  # name of a registered search
 
 
 def register_search(search: Search) -> None:

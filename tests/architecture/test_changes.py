@@ -1,4 +1,6 @@
-"""The recipes of docs/extending.md for a medium, an objective, a search, an analysis and genes, performed and run."""
+"""The recipes of docs/extending.md for a medium, an objective, a search, an analysis and genes, performed and run, and
+undone: what studies have recorded stays readable.
+"""
 
 import contextlib
 import json
@@ -16,6 +18,7 @@ import polars
 import pytest
 
 import puddle
+from pipeline.config.settings import Settings
 from tasks.simulation.mjcf import mjcf
 
 ROOT = Path(__file__).parents[2]
@@ -69,7 +72,29 @@ reach = puddle.open_study("changed", "store").table("reach")
 found = puddle.open_study("searched", "store")
 history, champions = found.table("histories"), found.champions()
 best = [max(history["fitness"].to_pylist()), *history["operator"].unique().to_pylist(), history.num_rows]
-print(json.dumps([failed, reach.num_rows, reach.column_names, [*best, champions["fitness"].to_pylist()]]))
+plain = Settings().model_dump(mode="json")
+print(json.dumps([plain, failed, reach.num_rows, reach.column_names, [*best, champions["fitness"].to_pylist()]]))
+"""
+
+SHOW = """
+import json, warnings
+from pathlib import Path
+import puddle
+from pipeline.results.export_folder import export_study
+
+shown = []
+for name in ("changed", "searched"):
+    with warnings.catch_warnings(record=True) as said:
+        study = puddle.open_study(name, "store")
+    champions = [(row["environment"], row["fitness"]) for row in study.champions().to_pylist()]
+    shown.append([*(str(one.message) for one in said), champions, study.settings.model_dump()["honey"]])
+export_study(puddle.open_study("changed", "store"), Path("exported"))
+for ask in (lambda: study.simulate(study.champion("honey", depth=1.0, trial=0)), lambda: study.table("reach")):
+    try:
+        ask()
+    except puddle.PuddleError as refused:
+        shown.append(str(refused))
+print(json.dumps([shown, study.settings.evolution.optimiser]))
 """
 
 HONEY, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS, MUJOCO = re.findall(
@@ -140,11 +165,8 @@ def test_a_target_an_objective_an_analysis_and_genes(tmp_path):
             assert text.count(old) == 1, f"{name} has {text.count(old)} times {old!r}, expected once"
             text = text.replace(old, new)
         (tmp_path / name).write_text(text)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests" / "shared"), "NUMBA_DISABLE_JIT": "1"}
-    command = [sys.executable, "-c", RUN]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, input=STUDY, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    failed, n_rows, columns, (best, operator, n_designs, champions) = json.loads(done.stdout.splitlines()[-1])
+    plain, failed, n_rows, columns, (best, operator, n_designs, champions) = _run(RUN, tmp_path)
+    assert plain == Settings().model_dump(mode="json")  # what is registered changes no other study
     assert failed == [] and (n_rows, columns) == (3, ["environment", "depth", "trial", "longest"])
     assert (operator, n_designs, champions) == ("random", 4 * 8, [best])
     out = tmp_path / "out"
@@ -176,3 +198,24 @@ def test_a_target_an_objective_an_analysis_and_genes(tmp_path):
     assert "displacement of the centre of mass [m]" in page and "longest link [m]" in page
     assert "m of Honey, zero-shot champions moved" in page and "Transfer to Honey" in page
     assert not any(word in page for word in ("True Slush", "paper</", "paper’s"))
+    for name in ADDED:
+        (tmp_path / name).unlink()
+    ((*notes, of_changed, honey), (*more, of_searched, _), *refused), optimiser = _run(SHOW, tmp_path)
+    assert [note.split(". ")[1] for note in (*notes, *more)] == [
+        "The code of com_displacement, honey, reach is not here.",
+        "The code of com_displacement, honey, random_search is not here.",
+    ]
+    assert [name for name, _ in of_changed] == ["honey", "dry_land", "residual_slush"]
+    assert of_searched == [["honey", best]] and optimiser == {"population_size": 8} and honey == {"decay": 5.0}
+    assert "expected one of true_slush" in refused[0] and "got 'honey'" in refused[0] and "table, one of" in refused[1]
+    rows = polars.read_parquet(tmp_path / "exported/tables/reach.parquet")
+    assert rows.columns == columns and len(rows) == n_rows
+
+
+def _run(script: str, folder: Path):
+    """Run a script with the copy's sources, and return the JSON of the last line that it prints."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests" / "shared"), "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=folder, env=environment, input=STUDY, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,26 @@ def test_settings_may_be_changed_beside_a_name(store, capsys):
     (store.root / "printed.yaml").write_text(capsys.readouterr().out)
     printed = load(Settings, store.root / "printed.yaml")
     assert printed.seed == 7 and printed.grid.environments == ("dry_land",)
+
+
+def test_what_used_code_that_is_gone_is_shown_and_not_computed(store, capsys):
+    """The record is what it would be had the target been another medium, whose file was then removed."""
+    record = store.read_study("tiny")
+    settings = {**record.settings, "target": "honey", "honey": {"decay": 5.0}}
+    items = tuple(item for item in record.items if item.label != "paper#0")  # which such a study does not have
+    store.write_study(replace(record, settings=settings, items=items))
+    options = ("--store", str(store.root))
+    simulate = ("simulate", "docs/design.json", "--study", "tiny", "--depth", "1", *options)
+    for words in (("status", "tiny"), ("studies",), ("champions", "tiny"), ("settings", "tiny")):
+        assert call(*words, *options) == 0
+    said = capsys.readouterr()
+    assert "The code of honey is not here." in said.out and 'honey: {"decay": 5.0}' in said.out
+    for command in ("study", "evolve", "forecast", "doctor"):
+        missing = refused(capsys, command, "tiny", *options)
+        assert missing == "puddle: study tiny: expected the code of honey, found none\n"
+    assert "expected the code of honey, found none" in refused(capsys, "gc", *options)
+    assert call(*simulate, "--environment", "dry_land") == 0
+    assert "expected one of true_slush" in refused(capsys, *simulate)
 
 
 def test_an_unknown_name_lists_the_studies(store, capsys):

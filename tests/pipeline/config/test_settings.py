@@ -5,8 +5,9 @@ import json
 import pytest
 
 from pipeline.config.loading import parse
-from pipeline.config.settings import Settings
+from pipeline.config.settings import Settings, TransferSettings
 from pipeline.errors import PuddleError
+from tasks.world import ENVIRONMENTS
 
 LISTED = """name: mine
 throws: {n_throws: 30}
@@ -89,6 +90,13 @@ def test_a_mistake_is_named(overrides, said):
     with pytest.raises(PuddleError) as refused:
         parse(Settings, "name: mine", name="mine.yaml", overrides=overrides)
     assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_list_of_all_adapted_environments_means_all():
+    """Earlier records list all that was registered, which own learners are not."""
+    listed = {"adapted_environments": [*ENVIRONMENTS, "honey"]}
+    settings = Settings.model_validate({"transfer": listed, "learners": {"mine": {"n_members": 3}}})
+    assert settings.transfer == TransferSettings() and settings.is_adapted("mine")
 
 
 def test_designs_evolve_in_the_target_unless_arms_are_stated():

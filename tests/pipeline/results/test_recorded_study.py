@@ -12,6 +12,7 @@ from small_study import run
 
 import puddle
 from pipeline.cluster import serial_cluster
+from pipeline.commands.study_status import study_status
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.results.recorded_study import CHAMPIONS, StageProgress, open_study
 from pipeline.results.study_tables import KEYS, SOURCES
@@ -187,8 +188,32 @@ def test_a_study_with_settings_of_a_stage_that_is_gone_opens(settings, recorded,
     store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
     older = {**settings.model_dump(mode="json"), "pilot": {"n_generations": 50, "most_outside": 0.2}}
     store.write_study(replace(store.read_study("tiny"), settings=older))
-    found = open_study("tiny", store.root)
+    said = []
+    found = open_study("tiny", store.root, say=said.append)
     assert found.settings == settings and found.champions() == opened.champions()
+    assert said == ["study tiny: shown as it was recorded. The code of pilot is not here."]
+
+
+def test_keys_are_refused_together(settings, recorded, tmp_path):
+    store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
+    grid = settings.grid.model_copy(update={"depths": (1.0, 9.0)})
+    deeper = settings.model_copy(update={"grid": grid}).model_dump(mode="json")
+    store.write_study(replace(store.read_study("tiny"), settings=deeper))
+    with pytest.raises(PuddleError, match=r"environment single_member: depth: expected one of 1, got 9\.0"):
+        open_study("tiny", store.root).champion("single_member", depth=9.0, trial=0)
+
+
+def test_items_that_settings_no_longer_lead_to_are_counted(settings, recorded, opened, tmp_path):
+    """The champions of dry land adapted in one segment before they were scored."""
+    store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
+    transfer = settings.transfer.model_copy(update={"adapted_environments": ()})
+    fewer = settings.model_copy(update={"transfer": transfer}).model_dump(mode="json")
+    store.write_study(replace(store.read_study("tiny"), settings=fewer))
+    found = open_study("tiny", store.root)
+    assert found.progress["transfer"] == StageProgress(done=2 * len(ARMS) + N_TRIALS, failed=0, missing=0)
+    assert found.champions() == opened.champions()
+    status = study_status(found.settings, store, found.record, with_diverged=False).stages[3]
+    assert (status.state, status.n_done, status.n_items) == ("done", 10, 10)
 
 
 def test_a_damaged_history_is_named(recorded, tmp_path):

@@ -71,7 +71,7 @@ def test_a_study_by_another_search(search, tmp_path):
 
 def test_an_unknown_search_and_one_without_its_package(monkeypatch):
     with pytest.raises(
-        PuddleError, match=r"evolution\.search: expected 'afpo', 'cma_es' or 'map_elites', got .annealing"
+        PuddleError, match=r"evolution\.search: expected any of afpo, cma_es, map_elites, got .annealing"
     ):
         parse(Settings, "evolution: {search: annealing}", name="tiny")
     monkeypatch.setitem(sys.modules, "ribs", None)  # which is how Python says that it can't be imported
