@@ -473,10 +473,13 @@ class Settings(Parameters):
 class RecordedEvolution(EvolutionSettings, extra="allow"):
     """An evolution, by a search that may not be here any more."""
 
+    __pydantic_extra__: dict[str, dict[str, Any]] = Field(init=False)
+
 
 class RecordedSettings(Settings, extra="allow"):
     """Settings as a study recorded them, also those of code that is not here: it can be shown, but not computed."""
 
+    __pydantic_extra__: dict[str, dict[str, Any]] = Field(init=False)
     evolution: RecordedEvolution = RecordedEvolution()
 
     @property

@@ -79,7 +79,7 @@ def available(upstream: Upstream) -> dict[str, TableSource]:
     """Return the tables that have rows in the store, by name; also those of analyses whose code is not here."""
     specs = [manifest.identity["spec"] for (manifest,) in upstream["analyse"].done.values()]
     made = {spec["analysis"]: TableSource("analyse", spec["analysis"], spec["version"]) for spec in specs}
-    sources = {**made, **SOURCES}
+    sources = {**SOURCES, **made}
     return {name: source for name, source in sources.items() if source.files(upstream[source.stage])}
 
 
