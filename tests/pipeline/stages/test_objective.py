@@ -143,7 +143,7 @@ def test_a_generalist_is_selected_for_its_mean_over_depths(settings, tmp_path, d
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["objective=third_half_speed"], r"evolution\.objective: expected any of .*mean_over_depths, second_half_speed, got"),
+        (["objective=third_half_speed"], r"evolution\.objective: expected any of .*, second_half_speed, got 'third"),
         (["evolution.objective_depths=[1,2]"], r"objective_depths are given, but objective is second_half_speed"),
         (["objective=mean_over_depths", "objective_depths=[1,1]"], r"objective_depths repeats a value"),
         (["objective=mean_over_depths"], r"objective_depths, or grid\.depths where they are null, has 1 depth"),
