@@ -169,6 +169,11 @@ def test_throws_of_parquet_are_exact_or_refused() -> None:
         read(pa.array([float(STAMP), STAMP + 4.0]))
 
 
+def test_bars_of_a_spreadsheet_are_read() -> None:
+    bars = read_bars("throw;length;width;mass;Größe\r\n1;0,07;0,07;0,1;XL\r\n;;;;\r\n".encode("cp1252"), "bars.csv")
+    assert (bars.throw.tolist(), bars.length.tolist(), bars.mass.tolist()) == ([1], [0.07], [0.1])
+
+
 def test_bars_that_change_within_a_throw_are_refused() -> None:
     rows = b"throw,length,width,mass\n1,0.07,0.07,0.1\n1,0.14,0.035,0.1\n"
     with pytest.raises(PuddleError, match=r"throw 1: length is 0\.14 and 0\.07: expected one bar for each throw"):
