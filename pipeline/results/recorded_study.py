@@ -72,9 +72,11 @@ class Study:
         return f"Study {self.name} in {self.store.root}\n  done: {done}\n  tables: {', '.join(self.tables)}"
 
     def _repr_html_(self) -> str:
-        rows = transfer_rows(self.trials(), self.settings.target)
-        table = f"in {self.settings.target_label}, mean ± SD over trials:{as_html(TransferRow, rows, self.name)}"
-        return f'<pre style="white-space: pre-wrap">{escape(repr(self))}</pre>{f"Champions {table}" if rows else ""}'
+        shown = f'<pre style="white-space: pre-wrap">{escape(repr(self))}</pre>'
+        if not self.upstream["transfer"].done:
+            return shown
+        table = as_html(TransferRow, transfer_rows(self.trials(), self.settings.target), self.name)
+        return f"{shown}Champions in {self.settings.target_label}, mean ± SD over trials:{table}"
 
     @property
     def name(self) -> str:

@@ -159,6 +159,7 @@ def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_pa
     shutil.copytree(recorded, tmp_path / "store", ignore=shutil.ignore_patterns("items"))
     begun = open_study("tiny", tmp_path / "store")
     assert begun.progress["evolve"] == StageProgress(done=0, failed=0, missing=16) and begun.tables == []
+    assert "evolve 0 of 16" in begun._repr_html_() and "Champions" not in begun._repr_html_()
     assert len(begun.champions()) == 0 and begun.champions().schema.field("zero_shot").type == pa.float64()
     with pytest.raises(PuddleError, match="has no champion: it is not done yet"):
         begun.champion("dry_land", depth=1.0, trial=0)
