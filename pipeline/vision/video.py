@@ -36,9 +36,8 @@ def frames(path: Path, *, colour: bool = False) -> Iterator[Frame]:
         with av.open(str(path)) as container:
             if not container.streams.video:
                 raise PuddleError(f"{path}: expected a video, found no pictures. Is it the right file?")
-            # Some files begin with a still picture as their thumbnail.
-            still = av.stream.Disposition.attached_pic
-            stream = max(container.streams.video, key=lambda one: (not one.disposition & still, one.frames))
+            likely = container.streams.best("video").index  # a file may begin with a thumbnail
+            stream = max(container.streams.video, key=lambda one: (one.frames, one.index == likely))
             stream.thread_type = "AUTO"
             for frame in container.decode(stream):
                 if frame.time is None or frame.time <= before:

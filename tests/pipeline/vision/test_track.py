@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -77,6 +78,37 @@ def test_the_angle_of_a_small_tag_has_no_bias(tank):
         turned = fit_bar(at, plane.metres(pixels), plane.jacobian(pixels)).pose[2] - pose[2]
         errors.append(np.degrees((turned + np.pi) % (2 * np.pi) - np.pi))
     assert np.sqrt(np.square(errors).mean()) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("shown", "rate"),
+    [
+        (lambda n: [i // 3 for i in range(3 * n)], 60.0),  # a phone writes 180 pictures a second, of which 60 are new
+        (lambda n: [i - i % 12 + 5 if i % 12 in (6, 7) else i for i in range(n)], 60.0),  # it hangs for two frames
+        (lambda n: list(range(n)), None),
+    ],
+)
+def test_pictures_that_repeat_are_left_out_and_counted(tank, tmp_path, shown, rate, capsys):
+    pictures = [frame.picture for frame in frames(tank.folder / "throws.mp4")]
+    order = shown(len(pictures))
+    again = tmp_path / "again.mp4"
+    with film(again, width=640, height=368, rate=60 * len(order) / len(pictures), quality=20) as add:
+        for i in order:
+            add(pictures[i])
+    assert call("track", again, "--markers", tank.folder / "markers.yaml", "--out", tmp_path / "tracks.csv") == 0
+    found = re.search(r"(\d+) frames repeat the one before, and are left out: ([\d.]+) a second are new", said(capsys))
+    tracks = table(tmp_path / "tracks.csv")
+    if rate is None:
+        assert found is None
+        return
+    assert float(found[2]) == pytest.approx(rate, rel=0.01)
+    frame = np.round(tracks["time"] * 60 * len(order) / len(pictures)).astype(int)
+    repeats = np.isin(frame, np.flatnonzero(np.diff(order, prepend=-1) == 0))
+    assert repeats.mean() < 0.05
+
+
+def said(capsys) -> str:
+    return capsys.readouterr().out
 
 
 def test_slow_motion_is_made_real_time(tank, tmp_path):
@@ -155,9 +187,42 @@ def of_bytes(name, content):
     return make
 
 
+def interlaced(tank, folder):
+    import av
+
+    with av.open(str(folder / "interlaced.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"x264-params": "tff=1"})
+        stream.width, stream.height, stream.pix_fmt = 640, 368, "yuv420p"
+        for frame in islice(frames(tank.folder / "throws.mp4"), 5):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame.picture, format="gray")))
+        container.mux(stream.encode())
+    return folder / "interlaced.mp4"
+
+
+@pytest.mark.parametrize("attached", [True, False])
+@pytest.mark.parametrize("container", ["mp4", "mkv"])
+def test_a_thumbnail_before_the_video_is_passed_over(tank, tmp_path, attached, container):
+    import av
+
+    path, pictures = tmp_path / f"cover.{container}", [frame.picture for frame in frames(tank.folder / "throws.mp4")]
+    with av.open(str(path), "w") as file:
+        streams = [file.add_stream(codec, rate=30) for codec in ("mjpeg", "libx264")]
+        for stream, size, form in zip(streams, ((64, 48), (640, 368)), ("yuvj420p", "yuv420p"), strict=True):
+            stream.width, stream.height, stream.pix_fmt = *size, form
+        if attached:
+            streams[0].disposition = av.stream.Disposition.attached_pic
+        file.mux(streams[0].encode(av.VideoFrame.from_ndarray(pictures[0][:48, :64].copy(), format="gray")))
+        file.mux(streams[0].encode())
+        for picture in pictures[:5]:
+            file.mux(streams[1].encode(av.VideoFrame.from_ndarray(picture, format="gray")))
+        file.mux(streams[1].encode())
+    assert [frame.picture.shape for frame in frames(path)] == 5 * [(368, 640)]
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (interlaced, r"interlaced.mp4: frame 0: is interlaced, .*: expected progressive video. Convert it: ffmpeg"),
         (twice, r"twice.mp4: frame 1: tag \d+ is seen twice, at \("),
         (knocked, r"moved by 5\."),
         (lambda tank, folder: folder / "missing.mp4", "missing.mp4.*Is there such a file"),
@@ -169,6 +234,39 @@ def test_videos_that_are_refused(tank, tmp_path, make, message, capsys):
     arguments = ("track", make(tank, tmp_path), "--markers", tank.folder / "markers.yaml")
     said = refused(capsys, *map(str, arguments), "--out", str(tmp_path / "tracks.csv"))
     assert re.search(message, said) and not (tmp_path / "tracks.csv").exists()
+
+
+@pytest.mark.parametrize("thing", ["bar", "tank"])
+@pytest.mark.parametrize(("n_quarters", "turn"), [(1, 90), (2, 180), (3, 90)])
+def test_tags_that_are_turned_are_named(tank, tmp_path, monkeypatch, thing, n_quarters, turn, capsys):
+    """Detectors give corners from the upper left of a tag on; those of a turned tag begin at another corner."""
+    markers, find = tank.scene.markers, Detector.find
+    things = markers.bars[0].tags if thing == "bar" else markers.tank.corners
+    turned, other = things[-1].number, things[0].number
+
+    def found(detector, picture, where):
+        tags = find(detector, picture, where)
+        return {n: np.roll(four, n_quarters, axis=0) if n == turned else four for n, four in tags.items()}
+
+    monkeypatch.setattr(Detector, "find", found)
+    assert track(tank, tmp_path / "tracks.csv") == 2
+    assert f"tag {turned} is turned by {turn}° against tag {other}: expected both upright" in capsys.readouterr().err
+
+
+def test_a_pose_that_is_not_finite_is_one_frame_lost(tank, tmp_path, monkeypatch):
+    from pipeline.vision import track_video
+
+    fits = iter(range(10_000))
+
+    def fit(*arguments):
+        pose = fit_bar(*arguments)
+        return replace(pose, pose=np.full(3, np.nan), chi2=np.nan) if next(fits) == 7 else pose
+
+    assert track(tank, tmp_path / "all.csv") == 0
+    monkeypatch.setattr(track_video, "fit_bar", fit)
+    assert track(tank, tmp_path / "tracks.csv") == 0
+    every, tracks = table(tmp_path / "all.csv"), table(tmp_path / "tracks.csv")
+    assert len(tracks) == len(every) - 1 and all(np.isfinite(tracks[name]).all() for name in tracks.dtype.names)
 
 
 def test_boards_that_are_refused(tank, tmp_path, capsys):
