@@ -82,7 +82,8 @@ def users_folder() -> Path:
             own = Path(folder).expanduser() / f"puddle-{os.getuid()}"
             own.mkdir(mode=0o700, parents=True, exist_ok=True)
             if own.stat().st_uid == os.getuid() and os.access(own, os.W_OK):  # code is run: the user's own only
-                return own
+                with _locked(own):  # not every file system has locks
+                    return own
     return Path(tempfile.mkdtemp(prefix="puddle-"))
 
 

@@ -16,6 +16,7 @@ from pipeline.stages.collect import COLLECT
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_ids
 from pipeline.stages.replays import replay_in
 from pipeline.stages.train import TRAIN
+from pipeline.store import disk
 from pipeline.store.design_file import load_design, open_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
@@ -82,7 +83,7 @@ def simulate_design(
         replays.append(replay_in(design, rolled_out, where, there, simulation, title=path.stem, ensemble=shown))
     first, *beside = (replay for replay in replays if replay)
     content = RENDERERS[kind]([first]) if kind in RENDERERS else render_robot(first, lines, beside).encode()
-    out.write_bytes(content)
+    disk.write(out, content)
     yield f"  shown in {out}"
 
 
@@ -148,7 +149,7 @@ def score_designs(
     if out is not None:
         units = {**_UNITS, "fitness": objective.unit}
         content = encode_table(table, schema="scores", version=1, producer=str(path), units=units)
-        out.write_bytes(content if out.suffix == ".parquet" else csv_of(table))
+        disk.write(out, content if out.suffix == ".parquet" else csv_of(table))
         yield f"  scores in {out}"
 
 

@@ -118,6 +118,7 @@ def compare(
     """
     from pipeline.report.render import as_text
     from pipeline.results.comparisons import SAID_ABOVE, SUFFIXES, compare_arms, compare_studies, written_comparison
+    from pipeline.store import disk
     from tasks.analysis.comparison import VERDICTS, Comparison
 
     if (b is None) == (arms is None):
@@ -135,7 +136,7 @@ def compare(
         f"negligible, and differ if it lies outside and p is below 5 %."
     )
     if out is not None:
-        out.write_text(written_comparison(compared, suffix), encoding="utf-8")
+        disk.write(out, written_comparison(compared, suffix).encode())
         to_stdout(f"\nWritten: {out}")
 
 

@@ -130,7 +130,7 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder) -> int
     for name in tables:
         path, parts = folder.place(f"tables/{name}.parquet"), study.parts(name)  # which may exceed the memory
         first = next(parts)
-        with pq.ParquetWriter(path, first.schema, compression="zstd") as writer:
+        with disk.named(path), pq.ParquetWriter(path, first.schema, compression="zstd") as writer:
             for part in chain((first,), parts):
                 writer.write_table(part)
                 n_rows += len(part)

@@ -6,6 +6,7 @@ from pipeline.errors import PuddleError
 from pipeline.report.films import RENDERERS
 from pipeline.report.replay import Surroundings, replay_of
 from pipeline.stages.replays import median_member
+from pipeline.store import disk
 from tasks.design import Designs
 from tasks.simulation import OK, simulate
 from tasks.world import Environment, Medium, Physics, ResidualSlush, as_environment
@@ -60,4 +61,4 @@ def film(
         n_settle=n_settle,
         time_step=physics.time_step,
     )
-    path.write_bytes(RENDERERS[path.suffix]([replay]))
+    disk.write(path, RENDERERS[path.suffix]([replay]))

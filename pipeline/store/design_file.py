@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
+from pipeline.store import disk
 from pipeline.store.encoding import decode_document, encode_document
 from tasks.design import Designs, check
 from tasks.design.genes import DTYPES
@@ -36,7 +37,7 @@ def design_from(data: bytes, source: str) -> Designs:
 
 def load_design(path: str | Path) -> Designs:
     """Read a design file, such as those of `puddle export`; raise PuddleError if it is none."""
-    return design_from(Path(path).read_bytes(), str(path))
+    return design_from(disk.read(Path(path)), str(path))
 
 
 def save_design(design: Designs, path: str | Path) -> None:
@@ -45,7 +46,7 @@ def save_design(design: Designs, path: str | Path) -> None:
         raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
     data = design_json(design)
     design_from(data, str(path))
-    Path(path).write_bytes(data)
+    disk.write(Path(path), data)
 
 
 def open_designs(path: str | Path) -> Designs:

@@ -7,9 +7,11 @@ line explains it.
 """
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +20,15 @@ from typing import IO, Any
 from pipeline.errors import PuddleError
 
 _SECONDS_TO_LOCK = 0.5  # a query holds a lock for an instant
+_NO_FLUSH = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
+"""What file systems say that flush no folders, such as VirtualBox's shared ones; none means that the disk fails."""
+_unflushed: set[int] = set()  # devices of which the user has been told that
+
+
+def read(path: Path) -> bytes:
+    """Return the content of a file."""
+    with named(path):
+        return path.read_bytes()
 
 
 def write(path: Path, data: bytes) -> None:
@@ -27,11 +38,18 @@ def write(path: Path, data: bytes) -> None:
 
 
 def fsync(path: Path) -> None:
-    """Flush a file, or a folder's list of names, to the disk."""
+    """Flush a file, or a folder's list of names where the file system does that, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         with named(path):
             os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _NO_FLUSH or not path.is_dir():
+            raise
+        if (device := os.fstat(descriptor).st_dev) not in _unflushed:
+            _unflushed.add(device)
+            what = f"{path}: its file system flushes files but no folders ({error.strerror})"
+            print(f"{what}: a power cut may lose the last results.", file=sys.stderr, flush=True)
     finally:
         os.close(descriptor)
 
@@ -100,7 +118,7 @@ def unused(path: Path) -> Path:
 
 def digest_of(path: Path) -> str:
     """Return a file's SHA-256 without reading it whole into memory."""
-    with path.open("rb") as file:
+    with named(path), path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -118,14 +136,27 @@ def locked(path: Path, *, shared: bool = False, taken: Callable[[], str] | None 
                 raise PuddleError(taken())
             time.sleep(0.01)
         if not taken:
-            fcntl.flock(file, fcntl.LOCK_EX)
+            _flock(file, fcntl.LOCK_EX)
         yield
 
 
 def try_lock(file: IO[Any], *, shared: bool) -> bool:
     """Lock an open file, and return whether no other process holds it."""
     try:
-        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        _flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True
+
+
+def _flock(file: IO[Any], operation: int) -> None:
+    """Lock a file. Nothing stands in for a lock: a file that is one by its existence outlives a killed process."""
+    try:
+        fcntl.flock(file, operation)
+    except BlockingIOError:
+        raise
+    except OSError as error:
+        raise PuddleError(
+            f"{file.name}: its file system has no locks ({error.strerror}), which keep two processes from writing at "
+            f"once. Put the store on a local disk (--store), or have this one mounted with locks (Lustre: -o flock)."
+        ) from None

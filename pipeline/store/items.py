@@ -80,7 +80,7 @@ class Items:
         folder = self._item(stage, key)
         with self._damage(stage, key):
             try:
-                data = (folder / MANIFEST).read_bytes()
+                data = disk.read(folder / MANIFEST)
             except FileNotFoundError:
                 return None
             manifest = decode_manifest(data, stage=stage, key=key, source=str(folder / MANIFEST))
@@ -96,7 +96,7 @@ class Items:
         """Return the content of a file; raise DamagedArtifact if it differs from what was committed."""
         path = self._item(manifest.stage, manifest.key) / name
         with self._damage(manifest.stage, manifest.key):
-            data = path.read_bytes() if path.is_file() else b""
+            data = disk.read(path) if path.is_file() else b""
             _compare(path, f"SHA-256 {manifest.files[name].sha256}", f"SHA-256 {digest(data)}")
         return data
 

@@ -16,17 +16,19 @@ from pipeline.errors import PuddleError
 from pipeline.store import disk
 from pipeline.store.encoding import Json, decode_document, encode_document
 
+_DRAFT = ".puddle-"  # begins the name of the temporary folder, which a killed process leaves
+
 
 @dataclass
 class NewFolder:
-    """A folder while it is written beside the place where it will be."""
+    """A folder while it is written to a temporary place."""
 
     path: Path
     preserved: list[str] = field(default_factory=list)  # a line for each file that the user changed, once in place
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file."""
-        self.place(name).write_bytes(content)
+        disk.write(self.place(name), content)
 
     def place(self, name: str) -> Path:
         """Return the path at which to write a file."""
@@ -53,9 +55,12 @@ class FolderKind:
         """Return the SHA-256 of every file that an earlier run wrote, by name."""
         source = folder / self.manifest
         if source.is_file():
-            data = source.read_bytes()
+            data = disk.read(source)
             return dict(decode_document(data, schema=self.schema, version=self.version, source=str(source))["files"])
-        if not folder.parent.is_dir() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
+        others = folder.exists() and (
+            not folder.is_dir() or any(not path.name.startswith(_DRAFT) for path in folder.iterdir())
+        )
+        if not folder.parent.is_dir() or others:
             found = "a file" if folder.is_file() else f"no {source if folder.exists() else folder.parent}"
             expected = f"expected a new folder or {self.word}"
             raise PuddleError(f"{folder}: {expected}, found {found}. Choose another one with --out.")
@@ -63,7 +68,7 @@ class FolderKind:
 
     @contextlib.contextmanager
     def replace(self, folder: Path, manifest: Mapping[str, Json]) -> Iterator[NewFolder]:
-        """Write files beside a folder, then move them into it, its manifest last.
+        """Write files to a temporary folder on the same disk, then move them, the manifest last.
 
         Args:
             folder: where they will be; PuddleError if it can't be used.
@@ -73,8 +78,9 @@ class FolderKind:
             The new folder; its files are put in place when the block ends without an error.
         """
         folder = self.check_place(folder)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside:
-            new = NewFolder(Path(beside))
+        disk_of = folder if folder.is_dir() else folder.parent  # a folder may be a disk of its own, as a volume is
+        with tempfile.TemporaryDirectory(dir=disk_of, prefix=_DRAFT) as draft:
+            new = NewFolder(Path(draft))
             yield new
             written = [path for path in sorted(new.path.rglob("*")) if path.is_file()]
             digests = {path.relative_to(new.path).as_posix(): disk.digest_of(path) for path in written}

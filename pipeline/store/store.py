@@ -82,7 +82,7 @@ class Store(Items):
         elif not path.exists():
             advice = "Name the folder of an existing store, or run a study to create one."
             raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
-        decode_document(path.read_bytes(), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
+        decode_document(disk.read(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
         return cls(root)
 
     @classmethod
@@ -147,7 +147,7 @@ class Store(Items):
         """
         path = self.record_path(name)
         try:
-            data = path.read_bytes()
+            data = disk.read(path)
             body = decode_document(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
             return _RECORD.validate_python(body)
         except FileNotFoundError:
@@ -203,7 +203,10 @@ class Store(Items):
         if not path.exists():
             return None
         with path.open() as lock:
-            if disk.try_lock(lock, shared=True):
+            try:
+                if disk.try_lock(lock, shared=True):
+                    return None
+            except PuddleError:  # there are no locks, so nothing drives here
                 return None
             return lock.read() or "another process, which has only just started"
 
