@@ -9,6 +9,9 @@ INSTALLED_DEV := $(VENV)/.installed-dev
 # Python files are compiled once and not in every process, whatever the shell says: a Ray worker then starts in a third
 # of the time, and the tests start hundreds of processes.
 export PYTHONDONTWRITEBYTECODE :=
+# pip installs into .venv, whatever the shell or pip.conf says.
+export PIP_USER := 0
+unexport PIP_TARGET PIP_PREFIX
 
 PRESET ?= laptop
 MINUTES ?= 5

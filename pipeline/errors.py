@@ -1,5 +1,7 @@
 """Errors that a user can correct."""
 
+import re
+
 
 class PuddleError(Exception):
     """An error that a user can correct.
@@ -26,3 +28,8 @@ class OtherVersion(PuddleError):  # noqa: N818
 
 class Irreproducible(PuddleError):  # noqa: N818
     """The same work gave different bytes than before: a bug in puddle or a faulty machine."""
+
+
+def without_password(text: str) -> str:
+    """Return a text without the user and the password of a URI in it."""
+    return re.sub(r"(?<=:)//[^/\s]\S*@", "//", text)

@@ -13,6 +13,7 @@ import logging
 import math
 import os
 import secrets
+import shutil
 import socket
 import sys
 import tempfile
@@ -145,6 +146,8 @@ class _Ray:
 @contextlib.contextmanager
 def _local(n_workers: int) -> Iterator[_Ray]:
     """Start Ray on this machine for this user alone, and stop it at the end."""
+    import psutil
+
     # Ray's own folder, /tmp/ray, is open to all users; this one is not.
     with tempfile.TemporaryDirectory(prefix="puddle-", dir=_SESSIONS_FOLDER, ignore_cleanup_errors=True) as folder:
         token = Path(folder, "token")
@@ -152,9 +155,11 @@ def _local(n_workers: int) -> Iterator[_Ray]:
         token.write_text(secrets.token_hex(32))
         os.environ.update(PINNED_THREADS, **LOCAL_ENVIRONMENT, RAY_AUTH_TOKEN_PATH=str(token))
         os.environ.pop("RAY_AUTH_TOKEN", None)
+        folders = [path for path in (Path(_SESSIONS_FOLDER), Path("/dev/shm")) if path.is_dir()]
+        free = " and ".join(f"{path} ({shutil.disk_usage(path).free / 1e9:.1f} GB)" for path in folders)
         advice = (
-            f"It needs free space in {_SESSIONS_FOLDER} and /dev/shm and memory for {n_workers} workers. "
-            f"`--workers 0` runs without Ray."
+            f"It needs free space in {free} and memory for {n_workers} workers "
+            f"({psutil.virtual_memory().available / 1e9:.1f} GB). `--workers 0` runs without Ray."
         )
         try:
             with _joined(

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import resource
 import signal
 import sys
 import threading
@@ -11,6 +12,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from pipeline.errors import PuddleError
+
 PINNED_THREADS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 """One thread per process: torch's results change in their last bits with the number of threads, and a study's results
 must not depend on the number of cores."""
@@ -19,6 +22,8 @@ _CGROUP = Path("/sys/fs/cgroup")
 _QUOTAS = (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"))
 """Files with a container's quota and period of processor time: of cgroups version 2, and of version 1."""
 
+_ADDRESS_SPACE = 4.5e9  # most that a worker maps, its libraries and memory together [bytes]
+_RAY_THREADS, _WORKER_THREADS = 220, 24  # of the driver and Ray's servers, and of each worker
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _SECONDS_UNTIL_RESENT = 0.05  # after which a signal that met an import is sent again
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
@@ -43,6 +48,37 @@ def number_of_cores() -> int:
             quota, period = (int(word) for name in files for word in (_CGROUP / name).read_text().split())
             cores = min(cores, quota / period) if quota > 0 else cores
     return max(1, int(cores))
+
+
+def check_limits(n_workers: int) -> None:
+    """Refuse limits under which libraries abort the process, and Ray waits a minute for processes that it can't start.
+
+    Args:
+        n_workers: number of Ray's workers on this machine; 0 without Ray.
+    """
+    address_space, _ = resource.getrlimit(resource.RLIMIT_AS)  # negative if there is no limit, as is the next
+    if 0 <= address_space < _ADDRESS_SPACE:
+        got = f"expected at least {_ADDRESS_SPACE / 1e9} GB, got {address_space / 1e9:.1f}"
+        raise PuddleError(f"the limit of address space (ulimit -v): {got}. Raise it: ulimit -v unlimited.")
+    needed = _RAY_THREADS + n_workers * _WORKER_THREADS
+    left = needed if (n_processes := resource.getrlimit(resource.RLIMIT_NPROC)[0]) < 0 else n_processes - _own_threads()
+    with contextlib.suppress(OSError, ValueError):  # not in a container, or in one without a limit
+        most, now = (int((_CGROUP / name).read_text()) for name in ("pids.max", "pids.current"))
+        left = min(left, most - now)
+    if n_workers and left < needed:
+        got = f"expected at least {needed:,} more for {n_workers} workers, got {left:,}"
+        raise PuddleError(
+            f"the limit of processes and threads (ulimit -u, or the container's): {got}. Raise it, or use fewer "
+            f"--workers; --workers 0 runs without Ray."
+        )
+
+
+def _own_threads() -> int:
+    """Count the threads of all processes of this user."""
+    import psutil
+
+    found = (process.info for process in psutil.process_iter(["num_threads", "uids"]))
+    return sum(one["num_threads"] or 0 for one in found if one["uids"] and one["uids"].real == os.getuid())
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ pinned before numpy, numba or torch is loaded.
 """
 
 import importlib.metadata
+import sys
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -14,6 +15,7 @@ from pipeline.cluster import prepare_process
 from pipeline.commands import build, care, designs, studies, study
 from pipeline.commands.servo import servo
 from pipeline.commands.terminal import Commands, exit_with, flush, to_stdout, write_what_can_be_encoded
+from pipeline.errors import PuddleError
 
 app = typer.Typer(
     cls=Commands,
@@ -72,6 +74,8 @@ def main(arguments: list[str] | None = None, run: Callable[[list[str] | None], A
     prepare_process()
     write_what_can_be_encoded()
     try:
+        if sys.flags.optimize > 1:
+            raise PuddleError("PYTHONOPTIMIZE=2 and python -OO drop the docstrings that Ray and MLflow need: unset it.")
         try:
             return run(arguments)
         finally:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from pipeline.cluster import Cluster, ray_cluster, serial_cluster
+from pipeline.cluster.process import check_limits, number_of_cores
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -203,10 +204,12 @@ class ExecutionOptions:
     tracking_uri: TrackingUri = None
 
     def __post_init__(self) -> None:
-        """Refuse --workers together with --address."""
+        """Refuse --workers together with --address, and limits that no study fits in."""
         if self.workers is not None and self.address is not None:
             got = f"--workers {self.workers} with --address {self.address}"
             raise PuddleError(f"--workers chooses cores of this machine: expected --workers or --address, got {got}")
+        n_workers = number_of_cores() if self.workers is None else self.workers
+        check_limits(0 if self.address else n_workers)
 
     def cluster(
         self, on_ray: Callable[..., AbstractContextManager[Cluster]] = ray_cluster

@@ -126,8 +126,14 @@ def exit_with(error: Exception) -> NoReturn:
             sys.exit(USER_ERROR)
         case OSError():
             file = error.filename2 or error.filename  # for a rename, the new name
+            if not file and error.strerror == os.strerror(errno.ENOENT):  # only the working folder has no name
+                file = "the working folder"
             advice = _DISK_ADVICE.get(error.errno or 0, "")
             to_stderr(f"puddle: {f'{file}: ' if file else ''}{error.strerror or error}. {advice}".rstrip())
+            sys.exit(USER_ERROR)
+        case MemoryError() | ImportError() if isinstance(error, MemoryError) or "failed to map" in str(error):
+            what = f"memory or address space (ulimit -v) is short: {error or type(error).__name__}"
+            to_stderr(f"puddle: {what}. Finished work is safe.")
             sys.exit(USER_ERROR)
         case OutputClosed():
             _discard_output()

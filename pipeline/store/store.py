@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.errors import DamagedArtifact, PuddleError, without_password
 from pipeline.store import disk
 from pipeline.store.encoding import decode_document, encode_document
 from pipeline.store.items import Items, check_name
@@ -180,7 +180,8 @@ class Store(Items):
             disk.make_folders(folder)
             with disk.locked(path := folder / "driver.lock", taken=taken):
                 started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-                signature = f"process {os.getpid()} on {platform.node()} since {started} ({' '.join(sys.argv)})"
+                command = without_password(" ".join(sys.argv))
+                signature = f"process {os.getpid()} on {platform.node()} since {started} ({command})"
                 with disk.named(path):
                     path.write_bytes(signature.encode(errors="replace"))
                 yield

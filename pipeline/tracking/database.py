@@ -6,12 +6,10 @@ import contextlib
 import logging
 import os
 import sqlite3
-import urllib.error
-import urllib.request
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import PuddleError
+from pipeline.errors import PuddleError, without_password
 
 EXPERIMENT = "puddle"
 MLFLOW_ENVIRONMENT = {
@@ -25,11 +23,15 @@ MLFLOW_ENVIRONMENT = {
 """Environment variables for MLflow in this process and for its server; the user's own values win."""
 
 _SECONDS_TO_ANSWER = 3.0  # time for a server to answer before it counts as unreachable
+_OTHER_VERSION, _DAMAGED = ("schema", "revision"), ("not a database", "malformed", "no such")  # words of errors
 
 
 def database_uri(store: Path) -> str:
     """Return the URI of a store's own MLflow database."""
-    return f"sqlite:///{store.resolve() / 'mlflow.db'}"
+    from sqlalchemy.engine import URL
+
+    # Of "sqlite:///" MLflow would create the folder as it is spelt in the URI, with its escapes.
+    return URL.create("sqlite+pysqlite", database=str(store.resolve() / "mlflow.db")).render_as_string()
 
 
 def artifacts_uri(store: Path) -> str:
@@ -39,10 +41,10 @@ def artifacts_uri(store: Path) -> str:
 
 def open_client(store: Path, uri: str | None) -> Any:
     """Return an MLflow client for a URI, or for the store's own database, which follows the store if it was moved."""
-    if uri is not None:
-        check_reachable(uri)
     for name, value in MLFLOW_ENVIRONMENT.items():
         os.environ.setdefault(name, value)
+    if uri is not None:
+        check_reachable(uri)
     from mlflow.tracking import MlflowClient
 
     logging.getLogger("mlflow").setLevel(logging.WARNING)
@@ -76,15 +78,18 @@ def explained(error: Exception, store: Path, uri: str | None) -> str:
     if isinstance(error, PuddleError):  # a lock, or a server that does not answer
         return str(error).rstrip(".")
     place = uri or str(store / "mlflow.db")
-    reason = (str(error) or type(error).__name__).splitlines()[0].partition(". ")[0]
-    if "schema" in reason or "revision" in reason:
+    reason = (str(error) or type(error).__name__).splitlines()[0].partition(". ")[0].rstrip(".")
+    is_unfit = any(word in reason for word in (*_OTHER_VERSION, *_DAMAGED))
+    if any(word in reason for word in _OTHER_VERSION):
         reason = "it was made by another version of MLflow"
+    if uri is None and not is_unfit:  # the database is sound
+        return f"MLflow does not work with {place}: {reason}"
     advice = ""
     if uri is None:
         advice = "; delete it, and `puddle study` rebuilds it from the store"
     elif "://" not in uri:
         advice = "; unset MLFLOW_TRACKING_URI, and puddle uses a database in the store"
-    return f"{place}: MLflow cannot use it: {reason}{advice}"
+    return without_password(f"{place}: MLflow cannot use it: {reason}{advice}")
 
 
 def check_reachable(uri: str) -> None:
@@ -95,9 +100,13 @@ def check_reachable(uri: str) -> None:
     """
     if not uri.startswith(("http://", "https://")):
         return
+    from mlflow.exceptions import MlflowException
+    from mlflow.tracking._tracking_service.utils import get_default_host_creds
+    from mlflow.utils.rest_utils import http_request  # as MLflow's client asks: with its certificates and passwords
+
     try:
-        urllib.request.urlopen(f"{uri.rstrip('/')}/health", timeout=_SECONDS_TO_ANSWER).close()
-    except urllib.error.HTTPError:  # an answer
-        return
-    except (OSError, ValueError) as error:
-        raise PuddleError(f"{uri} does not answer ({getattr(error, 'reason', error)})") from None
+        credentials = get_default_host_creds(uri)
+        http_request(credentials, "/health", "GET", timeout=_SECONDS_TO_ANSWER, max_retries=0, raise_on_status=False)
+    except MlflowException as error:
+        reason = str(error).rpartition(": ")[2].partition(". ")[0].strip("'\")")
+        raise PuddleError(without_password(f"{uri} does not answer ({reason})")) from None

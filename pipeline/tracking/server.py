@@ -10,7 +10,7 @@ import urllib.parse
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pipeline.errors import PuddleError
+from pipeline.errors import PuddleError, without_password
 from pipeline.tracking.database import (
     MLFLOW_ENVIRONMENT,
     artifacts_uri,
@@ -49,14 +49,15 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
             client.set_experiment_tag(experiment, f"mlflow.sharedViewState.{_VIEW}", _view(client, experiment))
         if study and not (experiment and client.search_runs([experiment], f"tags.study = '{study}'", max_results=1)):
             raise PuddleError(
-                f"{uri or store}: MLflow has no runs of a study {study!r}; `puddle ui` lists those it has"
+                f"{without_password(uri or str(store))}: MLflow has no runs of a study {study!r}; "
+                f"`puddle ui` lists those it has"
             )
     except PuddleError:
         raise
     except Exception as error:  # of any database's driver
         raise PuddleError(explained(error, store, uri)) from None
     if uri is not None and urllib.parse.urlsplit(uri).scheme in ("http", "https"):
-        print(f"MLflow: {runs_page(uri.rstrip('/'), experiment, study)}")
+        print(f"MLflow: {runs_page(without_password(uri).rstrip('/'), experiment, study)}")
         return
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

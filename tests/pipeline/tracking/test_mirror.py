@@ -1,12 +1,17 @@
 """The mirror in a real MLflow database: complete, never double, and never in the study's way."""
 
+import base64
 import contextlib
+import http.server
 import math
 import shutil
 import socket
 import sqlite3
+import ssl
+import subprocess
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +20,8 @@ import pytest
 from database_template import make_database, own_databases
 from mlflow.tracking import MlflowClient
 
-from pipeline.errors import PuddleError
-from pipeline.tracking.database import EXPERIMENT, database_uri
+from pipeline.errors import PuddleError, without_password
+from pipeline.tracking.database import EXPERIMENT, check_reachable, database_uri, explained
 from pipeline.tracking.mirror import Tracker
 from pipeline.tracking.run import CurvePart, CurvePoints, Run
 from pipeline.tracking.server import show_ui
@@ -116,11 +121,15 @@ def test_a_study_its_stage_and_its_trials(tmp_path):
     assert (artifacts / "figures" / "fitness.svg").read_bytes() == b"<svg/>"
 
 
-def test_a_store_of_an_odd_name_keeps_its_mirror_inside(tmp_path):
-    store = tmp_path / (name := "a#b größe")
+@pytest.mark.parametrize("name", ["a#b größe", "50%20 %3F", "what?", "x@y:z"])
+def test_a_store_of_an_odd_name_keeps_its_mirror_inside(name, tmp_path):
+    store = tmp_path / name
     store.mkdir()
     quiet(store).mirror(STUDY, STAGE)
-    assert set(runs(store)) == {("study", "smoke"), ("stage", "evolve")}
+    found = runs(store)
+    assert set(found) == {("study", "smoke"), ("stage", "evolve")}
+    artifacts = store / "mlartifacts" / found["stage", "evolve"].info.run_id / "artifacts"
+    assert (store / "mlflow.db").is_file() and (artifacts / "figures" / "fitness.svg").is_file()
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -296,3 +305,85 @@ def test_a_database_that_mlflow_cannot_use_is_one_sentence(store, sound_database
     assert len(said) == 1
     for told in (*said, str(refused.value)):
         assert told.startswith(f"{store / 'mlflow.db'}: ") and reason in told and len(told.splitlines()) == 1
+
+
+# -- servers that want a certificate or a password -------------------------------------------------------------------
+
+
+@pytest.fixture
+def secure_server(tmp_path) -> Iterator[tuple[str, Path, list[str | None]]]:
+    """A server with a certificate that it signed itself: its host, the certificate, and the passwords it was given."""
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    made = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=localhost"]
+    made += ["-addext", "subjectAltName=DNS:localhost", "-keyout", str(key), "-out", str(certificate)]
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl to make a certificate")
+    subprocess.run(made, check=True, capture_output=True)
+    passwords: list[str | None] = []
+
+    class Server(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            passwords.append(self.headers["Authorization"])
+            self.send_response(200 if self.path == "/health" else 403)
+            self.end_headers()
+
+        def log_message(self, *arguments: object) -> None: ...
+
+    with http.server.HTTPServer(("127.0.0.1", 0), Server) as server:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(certificate, key)
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"localhost:{server.server_port}", certificate, passwords
+        server.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [
+        ("MLFLOW_TRACKING_INSECURE_TLS", "true"),
+        ("MLFLOW_TRACKING_SERVER_CERT_PATH", None),
+        ("REQUESTS_CA_BUNDLE", None),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Unverified HTTPS request")
+def test_a_server_is_asked_as_mlflow_asks_and_no_password_is_shown(variable, value, secure_server, store, monkeypatch):
+    host, certificate, passwords = secure_server
+    uri, said = f"https://mary:se:cr@t@{host}", list[str]()
+    with pytest.raises(PuddleError, match=f"^https://{host} does not answer .*self-signed certificate"):
+        check_reachable(uri)
+    monkeypatch.setenv(variable, value or str(certificate))
+    check_reachable(uri.replace("cr@t", "cr%40t"))
+    assert passwords == [f"Basic {base64.b64encode(b'mary:se:cr@t').decode()}"]
+    Tracker(store, uri.replace("cr@t", "cr%40t"), say=said.append).mirror(STUDY, STAGE)
+    assert len(said) == 1 and f"https://{host}: MLflow cannot use it" in said[0] and "403" in said[0]
+    assert "se:cr" not in said[0] and "mary" not in said[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("postgresql://ann:secret@host/runs", "postgresql://host/runs"),
+        ("puddle ui --tracking-uri=http://ann:a/b@host:5000", "puddle ui --tracking-uri=http://host:5000"),
+        ("sqlite:////home/a@b/runs.db", "sqlite:////home/a@b/runs.db"),
+    ],
+)
+def test_no_password_of_a_uri_is_shown(text, shown):
+    assert without_password(text) == shown
+
+
+# -- what is sound is not to be deleted ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError("Could not determine home directory."),
+        ImportError("libarrow.so: failed to map segment from shared object"),
+        MemoryError(),
+        sqlite3.OperationalError("attempt to write a readonly database"),
+    ],
+)
+def test_a_sound_database_is_not_to_be_deleted(error, store):
+    said = explained(error, store, None)
+    assert str(error).rstrip(".") in said and "delete" not in said and len(said.splitlines()) == 1
