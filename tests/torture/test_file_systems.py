@@ -17,12 +17,11 @@ WORK = """
 import os, sys
 from pathlib import Path
 from one_item import FILES, KEY, commit
-from pipeline.commands.app import main
-from pipeline.store.design_file import read_design
+from pipeline.commands.terminal import exit_with
 from pipeline.store.owned_folder import FolderKind
 from pipeline.store.store import Store, StudyRecord
 
-def work(arguments):
+def work():
     root = Path(sys.argv[1])
     store = Store.open(root / "store", create=True)
     with store.lock_study("one"):
@@ -39,7 +38,10 @@ def work(arguments):
     with store.lock_all():
         print("done")
 
-main([], run=work)
+try:
+    work()
+except Exception as error:
+    exit_with(error)
 """
 """All that puddle does to a disk, as a command."""
 
