@@ -31,7 +31,7 @@ from tasks.simulation import OK, Rollouts
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, environment_kind
 
 _PAGE = ".html"
-_AT_ONCE = 4096  # designs simulated in one call, to bound the memory
+_AT_ONCE, _WITH_TRACE = 4096, 64  # designs simulated in one call, to bound the memory
 _UNITS = {
     "design": "row of the table, from 0",
     "diverged": "",
@@ -64,13 +64,13 @@ def simulate_design(
     lines = [f"{label}, {depth:g} m deep, {n_steps * settings.physics.time_step:.0f} s:"]
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, centre of mass {whole:+.3f} m")
-    if at.is_ensemble and (objective := OBJECTIVES.get(settings.evolution.objective)):
+    objective = settings.evolution.maximised
+    if (at.is_ensemble or not objective.is_papers) and objective.name in OBJECTIVES:
         fitness, simulation = environments.fitness_spec(settings, name), environments.simulation_spec(settings, name)
         scores = environments.evaluate_designs(design, simulation, Execution(settings.work.engine), at, fitness)
         members = ", ".join(f"{value:+.2f}" for value in scores.displacement[0])
-        lines.append(
-            f"  members {members} m; fitness ({objective.label.lower()}) {scores.fitness[0]:+.3f} {objective.unit}"
-        )
+        said = f"fitness ({objective.label.lower()}) {scores.fitness[0]:+.3f} {objective.unit}".strip()
+        lines.append(f"  members {members} m; {said}" if at.is_ensemble else f"  {said}")
     yield from lines
     if out is None:
         return
@@ -125,8 +125,9 @@ def score_designs(
     at = environments.build_environment(simulation.media, name, depth, networks)
     execution, fitness = Execution(settings.work.engine), environments.fitness_spec(settings, name)
     parts: list[Columns] = []
-    for first in range(0, len(designs), _AT_ONCE):
-        scores = environments.evaluate_designs(designs[first : first + _AT_ONCE], simulation, execution, at, fitness)
+    at_once = _WITH_TRACE if objective.trace else _AT_ONCE
+    for first in range(0, len(designs), at_once):
+        scores = environments.evaluate_designs(designs[first : first + at_once], simulation, execution, at, fitness)
         parts.append(
             {
                 "diverged": np.isneginf(scores.fitness),
@@ -142,7 +143,7 @@ def score_designs(
     finite = table["fitness"][~table["diverged"]]
     if len(finite):
         mean, median, best = (
-            f"{value:z.2f} {objective.unit}" for value in (finite.mean(), np.median(finite), finite.max())
+            f"{value:z.2f} {objective.unit}".strip() for value in (finite.mean(), np.median(finite), finite.max())
         )
         yield f"  fitness ({objective.label.lower()}): mean {mean}, median {median}"
         yield f"  best: design {int(np.argmax(table['fitness']))}, {best}"

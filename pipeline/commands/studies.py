@@ -79,20 +79,22 @@ def studies(store: StorePath = DEFAULT_STORE, as_json: AsJson = False) -> None:
 
 @with_options
 def champions(study: StudyArgument, store: StorePath = DEFAULT_STORE) -> None:
-    """Rank a study's champions by their displacement in the target."""
+    """Rank a study's champions by their score in the target."""
     from pipeline.report.render import as_text
+    from tasks.analysis.registry import scored_by
     from tasks.analysis.scores import ScoredTrial
 
     opened = _opened(study, store)
+    objective = opened.settings.evolution.maximised
     rows = [row for row in opened.trials() if row.status == "ok"]
     if not rows:
         why = f"no trial has been transferred to {opened.settings.target_label} yet, or every design diverged"
         raise PuddleError(f"study {opened.name} has no champions: {why}")
     ranked = sorted(rows, key=lambda row: (-row.depth, isnan(row.zero_shot), -row.zero_shot))
     to_stdout(
-        f"study {opened.name}: champions by zero-shot displacement in {opened.settings.target_label}",
+        f"study {opened.name}: champions by zero-shot {objective.label.lower()} in {opened.settings.target_label}",
         f"selected for: {opened.settings.selected_for}",
-        *as_text(ScoredTrial, ranked, without=("status",)),
+        *as_text(scored_by(objective, ScoredTrial), ranked, without=("status",)),
     )
     if n_without := len(opened.settings.grid.trials()) - len(rows):
         to_stdout(f"\n{n_without} of {len(rows) + n_without} trials have no champion yet, or every design diverged.")
@@ -120,6 +122,7 @@ def compare(
     from pipeline.results.comparisons import SAID_ABOVE, SUFFIXES, compare_arms, compare_studies, written_comparison
     from pipeline.store import disk
     from tasks.analysis.comparison import VERDICTS, Comparison
+    from tasks.analysis.registry import scored_by
 
     if (b is None) == (arms is None):
         raise PuddleError("expected two studies, or one study and --arms A B")
@@ -128,7 +131,8 @@ def compare(
     compared = compare_studies(first, _opened(str(b), store)) if arms is None else compare_arms(first, *arms)
     to_stdout(f"A: {compared.a}; B: {compared.b}, the reference")
     to_stdout(*(f"  {name}: {of_a} → {of_b}" for name, of_a, of_b in compared.changes))
-    to_stdout(compared.caution, *as_text(Comparison, compared.rows, SAID_ABOVE, width=_LINE_LENGTH))
+    kind = scored_by(compared.objective, Comparison)
+    to_stdout(compared.caution, *as_text(kind, compared.rows, SAID_ABOVE, width=_LINE_LENGTH))
     counts = Counter(row.verdict for row in compared.rows)
     listed = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
     to_stdout(

@@ -111,16 +111,19 @@ def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: 
     from pipeline.report.render import as_text
     from pipeline.stages.report import PAGE
     from pipeline.stages.transfer import read_trials
+    from tasks.analysis.registry import scored_by
     from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 
-    depth = max(settings.grid.depths)
+    depth, objective = max(settings.grid.depths), settings.evolution.maximised
     trials = read_trials(settings, upstream["transfer"], store)
     rows = [row for row in transfer_rows(trials, settings.target) if row.depth == depth]
     to_stdout(
-        f"\nChampions of study {settings.name} in {settings.target_label}, {depth:g} m deep: mean ± SD over trials [m]",
+        objective.with_unit(
+            f"\nChampions of study {settings.name} in {settings.target_label}, {depth:g} m deep: mean ± SD over trials"
+        ),
         f"selected for: {settings.selected_for}",
         *filter(None, [scale_words(settings)]),
-        *as_text(TransferRow, rows, TOO_WIDE),
+        *as_text(scored_by(objective, TransferRow), rows, TOO_WIDE),
     )
     page = store.export_path(settings.name) / PAGE
     if page.is_file():

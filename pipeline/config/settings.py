@@ -131,8 +131,8 @@ class EvolutionSettings(Parameters):
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each trial. [P]"""
     objective: ObjectiveName = PAPERS_OBJECTIVE
-    """What designs and adapted controllers are selected for. [P]: displacement of the root. Champions are compared by
-    displacement in any case."""
+    """What designs and adapted controllers are selected for, and champions compared by. [P]: displacement of the
+    root."""
     objective_depths: tuple[Depth, ...] | None = None
     """Depths of the ground [m] over which the objective mean_over_depths is the mean; null for those of the grid. Each
     adds a rollout of every design."""

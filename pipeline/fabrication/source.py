@@ -56,22 +56,21 @@ def proposed(study: Study) -> DesignSource:
     """
     if n_missing := study.progress["transfer"].missing:
         raise PuddleError(f"study {study.name!r}: {n_missing} champions have no score yet. Run `puddle study` first.")
-    rows = [row for row in study.champions().to_pylist() if row["zero_shot"] is not None]
-    champions = [row for row in rows if np.isfinite(row["zero_shot"])]
+    champions = [row for row in study.trials() if np.isfinite(row.zero_shot)]
     if not champions:
         raise PuddleError(f"study {study.name!r}: no champion survived {study.settings.target_label}")
-    arms = {(row["environment"], row["depth"]) for row in champions}
+    arms = {(row.environment, row.depth) for row in champions}
     order = [*_ensembles(study), *in_order(environment for environment, _ in arms)]
     environment, depth = min(arms, key=lambda arm: (order.index(arm[0]), -arm[1]))
-    rows = [row for row in champions if (row["environment"], row["depth"]) == (environment, depth)]
-    zero_shot = np.array([row["zero_shot"] for row in rows])
+    rows = [row for row in champions if (row.environment, row.depth) == (environment, depth)]
+    zero_shot, unit = np.array([row.zero_shot for row in rows]), study.settings.evolution.maximised.unit
     chosen = nearest_the_mean(zero_shot) or 0  # there is one, because all scores are finite
-    trial = rows[chosen]["trial"]
+    trial = rows[chosen].trial
     design = study.champion(environment, depth=depth, trial=trial)
     origin = (
         f"Champion of trial {trial} of study {study.name}, evolved in {environment.replace('_', ' ')} at {depth:g} m. "
-        f"It scores {zero_shot[chosen]:+.2f} m in {study.settings.target_label}, nearest to the mean of "
-        f"{len(rows)} champions, {zero_shot.mean():+.2f} m."
+        f"It scores {zero_shot[chosen]:+.2f} {unit} in {study.settings.target_label}, nearest to the mean of "
+        f"{len(rows)} champions, {zero_shot.mean():+.2f} {unit}."
     )
     name, predicted = f"{study.name}-trial-{trial}", _predictions(study, design, environment, depth, trial)
     return DesignSource(design, name, origin, study.settings, depth, predicted)

@@ -24,9 +24,8 @@ from pipeline.report.render import as_html, typeset
 from pipeline.report.replay import Replay, encode
 from pipeline.report.transfer_figures import Curves
 from tasks.analysis import paper
-from tasks.analysis.registry import Analysis, Assessed, percent
+from tasks.analysis.registry import Analysis, Assessed, percent, scored_by
 from tasks.analysis.tables import ANALYSES
-from tasks.evolution import PAPERS_OBJECTIVE
 from tasks.world import environment_kind
 
 _POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
@@ -60,6 +59,12 @@ class StudyPage:
         """Where champions are transferred to, as readers know it."""
         return self.settings.target_label
 
+    @property
+    def score_label(self) -> str:
+        """Label of an axis of scores in the target."""
+        objective = self.settings.evolution.maximised
+        return objective.with_unit(f"{objective.label.lower()} in {self.target}")
+
     def rows(self, name: str) -> Sequence[Any]:
         """Return the rows of an analysis."""
         return self.tables.get(name, ())
@@ -79,23 +84,25 @@ FIGURES: Mapping[str, PageFigure] = {
     "transfer_at_depth": PageFigure(
         "Transfer at the greatest depth",
         "top",
-        "Displacement in {target}, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and single "
+        "{score} in {target}, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and single "
         "trials as points.",
         lambda page: transfer_figures.transfer_at_depth(
-            page.rows("transfer"), page.rows("scores"), page.looks, page.target
+            page.rows("transfer"), page.rows("scores"), page.looks, page.score_label
         ),
     ),
     "transfer_across_depths": PageFigure(
         "Transfer across depths",
         "transfer",
-        "Displacement in {target} by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
-        lambda page: transfer_figures.transfer_across_depths(page.rows("transfer"), page.looks, page.target),
+        "{score} in {target} by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
+        lambda page: transfer_figures.transfer_across_depths(page.rows("transfer"), page.looks, page.score_label),
     ),
     "fitness_curves": PageFigure(
         "Fitness by generation",
         "evolution",
         "Best fitness so far in the environment where the robots evolve: means over trials, bands of ± 1 SD.",
-        lambda page: transfer_figures.fitness_curves(page.curves, page.settings.evolution.maximised.unit, page.looks),
+        lambda page: transfer_figures.fitness_curves(
+            page.curves, page.settings.evolution.maximised.with_unit("best fitness"), page.looks
+        ),
     ),
     "elites": PageFigure(
         "The fittest robot of each kind of body",
@@ -129,7 +136,7 @@ def draw_all(page: StudyPage) -> dict[str, Drawing]:
 
 
 def _drawn(one: PageFigure, page: StudyPage) -> tuple[Figure, str]:
-    return one.draw(page), one.caption.format(target=page.target)
+    return one.draw(page), one.caption.format(target=page.target, score=page.settings.evolution.maximised.label)
 
 
 def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
@@ -141,7 +148,8 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
 
     def html(one: Analysis, rows: Sequence[Any], depth: float | None) -> Markup:
         without = ("depth",) if depth is not None else ()
-        return as_html(one.row, rows, one.answers, address=partial(_address, known), without=without)
+        kind = scored_by(objective, one.row)
+        return as_html(kind, rows, one.answers, address=partial(_address, known), without=without)
 
     body = TEMPLATES.get_template("page.html").render(
         page=page,
@@ -152,7 +160,9 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         singles={name for name, learner in settings.arm_learners.items() if learner.is_single},
         kind_of=environment_kind,
         arms=[environment_kind(name) for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
-        objective=None if objective.name == PAPERS_OBJECTIVE else f"{settings.selected_for} [{objective.unit}]",
+        objective=None if objective.is_papers else objective.with_unit(settings.selected_for),
+        score=objective.label.lower(),
+        unit=objective.unit,
         seconds=settings.rollout.n_measure * settings.physics.time_step,
         heroes=heroes(page.replays),
         tables=[(one, page.rows(name)) for name, one in ANALYSES.items() if page.rows(name)],
@@ -162,7 +172,7 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         html=html,
         svg=inline_svg,
         percent=lambda share: typeset(percent(share)),
-        number=lambda value: typeset(f"{value:z.1f}"),
+        number=lambda value: typeset(f"{value:z.{1 if objective.is_papers else 2}f}"),
         **viewer_values(page.replays, settings.name),
     )
     title = f"Robots evolved for {page.target}: {settings.name}"

@@ -19,7 +19,9 @@ from markupsafe import Markup
 from pipeline.store.tables import columns_of, csv_of, described, text
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.estimates import Estimate, Mean
+from tasks.analysis.registry import scored_by
 from tasks.analysis.tables import ANALYSES
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 
 _MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
 
@@ -227,15 +229,17 @@ WRITERS: dict[str, Callable[[type, Sequence[Any], str], str]] = {
 """Writers of a table, by the suffix of the file."""
 
 
-def tables_of(tables: Mapping[str, Sequence[Any]]) -> dict[str, bytes]:
-    """Return every table of readable size as CSV, by file name, and the unit and meaning of every column."""
+def tables_of(
+    tables: Mapping[str, Sequence[Any]], objective: Objective = OBJECTIVES[PAPERS_OBJECTIVE]
+) -> dict[str, bytes]:
+    """Return a study's tables of readable size as CSV, by file name, and the unit and meaning of every column."""
     readable = {name: rows for name, rows in tables.items() if 0 < len(rows) <= _MOST_ROWS_OF_CSV}
     if not readable:
         return {}
     columns = [
         (name, column, about.get("unit", ""), about.get("meaning", "") or about.get("label", ""))
         for name in readable
-        for column, about in described(ANALYSES[name].row).items()
+        for column, about in described(scored_by(objective, ANALYSES[name].row)).items()
     ]
     sheet = dict(zip(("table", "column", "unit", "meaning"), map(text, zip(*columns, strict=True)), strict=True))
     files = {f"{name}.csv": as_csv(ANALYSES[name].row, rows) for name, rows in readable.items()}

@@ -46,7 +46,8 @@ class Replay:
     in_target: bool = False  # whether it is seen where champions are transferred to
     command: str = ""  # environment of `puddle simulate` that shows the same; empty for a single network
     best: bool = False  # whether it is of the best champion of its arm
-    arm_mean: float = 0.0  # zero-shot displacement of its arm [m]: the mean over trials
+    arm_mean: float = 0.0  # zero-shot score of its arm: the mean over trials
+    score: float = 0.0  # zero-shot score of the robot
 
     @property
     def has_medium(self) -> bool:

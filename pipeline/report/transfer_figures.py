@@ -37,7 +37,7 @@ _TRANSFERS = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
 
 
 def transfer_at_depth(
-    rows: Sequence[TransferRow], scores: Sequence[ScoredTrial], looks: Mapping[str, Look], target: str
+    rows: Sequence[TransferRow], scores: Sequence[ScoredTrial], looks: Mapping[str, Look], label: str
 ) -> Figure:
     """Draw a bar for every arm at the greatest depth: mean ± 1 SD in the target, the trials, the paper's mean."""
     known = [row for row in rows if row.zero_shot.value is not None]
@@ -72,7 +72,7 @@ def transfer_at_depth(
     axes.set_xticks(list(ticks.values()), list(ticks), fontsize="small" if len(ticks) <= 6 else "x-small")
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.7, center - 0.65)
-    axes.set_ylabel(f"displacement in {target} [m]")
+    axes.set_ylabel(label)
     show_at_least(axes)
     axes.set_title(f"depth {depth:g} m")
     axes.grid(axis="y")
@@ -86,7 +86,7 @@ def transfer_at_depth(
     return figure
 
 
-def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look], target: str) -> Figure:
+def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look], label: str) -> Figure:
     """Draw lines over depth for every environment, a panel for zero-shot and one for adapted, with ± 1 SD."""
     listed = sorted({row.depth for row in rows})
     drawn = [name for name in _TRANSFERS if any(getattr(row, name).value is not None for row in rows)]
@@ -108,7 +108,7 @@ def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look
         panel.grid(axis="y")
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
     figure.supxlabel("depth [m]")
-    figure.supylabel(f"displacement in {target} [m]")
+    figure.supylabel(label)
     handles = [
         Line2D([], [], color=looks[name].color, marker=looks[name].marker, ms=5, label=environment_kind(name).label)
         for name in present
@@ -120,7 +120,7 @@ def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look
 Curves = Mapping[tuple[str, float], Sequence[Float64]]  # best fitness by generation of each trial, by arm
 
 
-def fitness_curves(curves: Curves, unit: str, looks: Mapping[str, Look]) -> Figure:
+def fitness_curves(curves: Curves, label: str, looks: Mapping[str, Look]) -> Figure:
     """Draw a panel for some depths: best fitness by generation where the robots evolve, mean ± 1 SD over trials."""
     known = {arm: [curve for curve in own if np.isfinite(curve).any()] for arm, own in curves.items()}
     known = {arm: own for arm, own in known.items() if own}
@@ -138,7 +138,7 @@ def fitness_curves(curves: Curves, unit: str, looks: Mapping[str, Look]) -> Figu
     show_at_least(panels[0])
     panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     figure.supxlabel("generation")
-    figure.supylabel(f"best fitness [{unit}]")
+    figure.supylabel(label)
     handles = [Line2D([], [], color=looks[name].color, label=environment_kind(name).label) for name in present]
     legend(figure, handles, n_columns=2, above=True)
     return figure
@@ -179,5 +179,5 @@ def elites(rows: Sequence[Elite], evolution: EvolutionSettings, looks: Mapping[s
         panel.set_title(f"{environment_kind(name).label}, {depth:g} m")
     figure.supxlabel("body length at rest [m]")
     figure.supylabel("body size: sum of links [m]")
-    figure.colorbar(image, ax=list(panels), label=f"fitness [{evolution.maximised.unit}]")
+    figure.colorbar(image, ax=list(panels), label=evolution.maximised.with_unit("fitness"))
     return figure

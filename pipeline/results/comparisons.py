@@ -10,7 +10,9 @@ from pipeline.report.render import WRITERS, as_html
 from pipeline.results.recorded_study import Study
 from pipeline.workflow.record import setting_changes
 from tasks.analysis.comparison import Comparison, compare
+from tasks.analysis.registry import scored_by
 from tasks.analysis.scores import QUANTITIES, arms
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 from tasks.world import environment_kind, in_order
 
 SUFFIXES = (".html", *WRITERS)
@@ -26,6 +28,7 @@ class Compared:
     b: str  # what B is, the reference
     changes: Sequence[tuple[str, str, str]]  # settings that differ: name, value in A, value in B
     rows: Sequence[Comparison]
+    objective: Objective  # what is compared: displacement, if A and B have different ones
     caution: str = ""
 
 
@@ -45,8 +48,8 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
     rows = compare(trials, trials, [((a, quantity), (b, quantity)) for quantity in QUANTITIES], study.settings.target)
     if not rows:
         raise PuddleError(f"study {study.name}: {a} and {b} have no champions at the same depth yet")
-    names = [environment_kind(arm).label for arm in (a, b)]
-    return Compared(f"{names[0]} against {names[1]} in study {study.name}", names[0], names[1], (), rows)
+    names, objective = [environment_kind(arm).label for arm in (a, b)], study.settings.evolution.maximised
+    return Compared(f"{names[0]} against {names[1]} in study {study.name}", names[0], names[1], (), rows, objective)
 
 
 def compare_studies(a: Study, b: Study) -> Compared:
@@ -59,7 +62,9 @@ def compare_studies(a: Study, b: Study) -> Compared:
         raise PuddleError(f"expected two studies, got study {a.name} twice")
     of_a, of_b = (study.settings.model_dump(mode="json", exclude={"name", "work"}) for study in (a, b))
     changes = [(name, json.dumps(new), json.dumps(old)) for name, old, new in setting_changes(of_b, of_a)]
-    of_both = a.trials(), b.trials()
+    objectives = {(study.settings.evolution.maximised.name, study.settings.objective_depths) for study in (a, b)}
+    objective = b.settings.evolution.maximised if len(objectives) == 1 else OBJECTIVES[PAPERS_OBJECTIVE]
+    of_both = a.trials(displacement=objective.is_papers), b.trials(displacement=objective.is_papers)
     known = [(name, quantity) for name in in_order(one.environment for one in of_both[0]) for quantity in QUANTITIES]
     pairs = [(arm, arm) for arm in known if arm != (b.settings.target, "predicted")]  # which is zero-shot
     rows = compare(*of_both, pairs, b.settings.target)
@@ -73,13 +78,15 @@ def compare_studies(a: Study, b: Study) -> Compared:
     of_displacement = ("physics.", "rollout.", *(f"{environment_kind(name).settings_group or name}." for name in used))
     physical = [name for name, _, _ in changes if name == "target" or name.startswith(of_displacement)]
     caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
-    return Compared(f"{a.name} against {b.name}", f"study {a.name}", f"study {b.name}", changes, rows, caution)
+    names = f"study {a.name}", f"study {b.name}"
+    return Compared(f"{a.name} against {b.name}", *names, changes, rows, objective, caution)
 
 
 def written_comparison(compared: Compared, suffix: str) -> str:
     """Return the content of a file that ends in one of SUFFIXES: a page, or the table alone."""
+    kind = scored_by(compared.objective, Comparison)
     if suffix in WRITERS:
-        return WRITERS[suffix](Comparison, compared.rows, ". ".join(filter(None, (compared.title, compared.caution))))
-    table = as_html(Comparison, compared.rows, "Differences between A and B", without=SAID_ABOVE)
+        return WRITERS[suffix](kind, compared.rows, ". ".join(filter(None, (compared.title, compared.caution))))
+    table = as_html(kind, compared.rows, "Differences between A and B", without=SAID_ABOVE)
     body = TEMPLATES.get_template("comparison.html").render(compared=compared, table=table)
     return document(title=compared.title, policy="script-src 'none'", body=body)

@@ -41,6 +41,7 @@ from pipeline.store.owned_folder import FolderKind, NewFolder
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import trials_of
 from pipeline.workflow.record import to_record
+from tasks.analysis.registry import scored_by
 from tasks.analysis.tables.transfer import TransferRow
 from tasks.simulation.mjcf import mjcf as as_mjcf
 
@@ -84,8 +85,8 @@ def export_study(study: Study, out: Path, *, tables: Sequence[str] | None = None
         page = read_page(study.settings, study.upstream, study.store)
         results = json.dumps(results_of(study, page), indent=1, ensure_ascii=False)
         folder.write("results.json", results.encode() + b"\n")
-        rows = page.rows("transfer")
-        folder.write("transfer.tex", as_latex(TransferRow, rows, f"Transfer results of study {study.name}.").encode())
+        kind, rows = scored_by(study.settings.evolution.maximised, TransferRow), page.rows("transfer")
+        folder.write("transfer.tex", as_latex(kind, rows, f"Transfer results of study {study.name}.").encode())
         n_champions = _write_champions(study, folder, mjcf)
         n_rows = _write_tables(study, chosen, folder)
         drawings = draw_all(page)

@@ -28,6 +28,7 @@ from pipeline.workflow.graph import Survey, survey
 from pipeline.workflow.identity import TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import Execution, Upstream
+from tasks.analysis.registry import scored_by
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TransferRow, transfer_rows
 from tasks.design import Designs
@@ -151,13 +152,14 @@ class Study:
         if name == CHAMPIONS:
             yield self.champions()
         else:
-            yield from parts_of(name, self.upstream, self.store, only=only)
+            objective = self.settings.evolution.maximised
+            yield from parts_of(name, self.upstream, self.store, only=only, objective=objective)
 
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.
 
-        Columns are those of :class:`tasks.analysis.scores.ScoredTrial` and design_json, the content of a design file.
-        What does not exist is null.
+        Columns are displacements, called as in :class:`tasks.analysis.scores.ScoredTrial`, and design_json, the content
+        of a design file. What another objective scores follows, such as zero_shot_score. What does not exist is null.
         """
         rows = []
         for trial in trials_of(self.settings, "transfer"):
@@ -167,13 +169,18 @@ class Study:
                 values = scores.by_name() if scores else {}
                 rows.append({**keys_of(trial), **values, "design_json": design})
         about = {**described(ScoredTrial), "design_json": {"meaning": "Content of a design file."}}
-        about["fitness"] = {**about["fitness"], "unit": self.settings.evolution.maximised.unit}
+        objective = self.settings.evolution.maximised
+        about["fitness"] = {**about["fitness"], "unit": objective.unit}
         fields = [field_of(name, kind, about[name]) for name, kind in _CHAMPION_COLUMNS.items()]
+        if not objective.is_papers:
+            further = described(scored_by(objective, ScoredTrial))
+            names = ("predicted", "predicted_sd", "zero_shot", "adapted")
+            fields += [field_of(f"{name}_score", pa.float64(), further[name]) for name in names]
         return pa.Table.from_pylist(rows, schema=pa.schema(fields))
 
-    def trials(self) -> list[ScoredTrial]:
-        """Return what is known of every trial's champion."""
-        return read_trials(self.settings, self.upstream["transfer"], self.store)
+    def trials(self, *, displacement: bool = False) -> list[ScoredTrial]:
+        """Return what is known of every trial's champion: its scores, or its displacements in any case."""
+        return read_trials(self.settings, self.upstream["transfer"], self.store, displacement)
 
     def champion(self, environment: str, *, depth: float, trial: int, adapted: bool = False) -> Designs:
         """Return the champion of a trial, a design.

@@ -20,10 +20,10 @@ _DIGITS = 4  # decimals of a displacement [m]
 def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
     """Return a study's results: champions, each arm's means and deviations, what they are compared with, and digests.
 
-    Displacements are in metres, of the root. Times are in core-seconds. A stage's digest is the SHA-256 of the digests
-    of its items, ordered by label.
+    Scores are displacements of the root in metres, unless an objective is named. Times are in core-seconds. A stage's
+    digest is the SHA-256 of the digests of its items, ordered by label.
     """
-    upstream = study.upstream
+    upstream, objective = study.upstream, study.settings.evolution.maximised
     return {
         "schema": "puddle.results",
         "version": 4,
@@ -34,6 +34,7 @@ def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
         "digests": {stage.name: _digest(study, stage.name) for stage in STAGES},
         "n_replicates": study.settings.replicates,
         "penalty": study.settings.ensemble.disagreement_penalty,
+        **({} if objective.is_papers else {"objective": objective.name, "unit": objective.unit}),
         "arms": [
             {
                 "environment": row.environment,

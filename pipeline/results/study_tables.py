@@ -23,7 +23,9 @@ from pipeline.store.store import Store
 from pipeline.store.tables import described
 from pipeline.workflow.identity import ChainId, OutputId, TrialId
 from pipeline.workflow.stage import Results, Upstream
+from tasks.analysis.registry import scored_by
 from tasks.analysis.tables import ANALYSES
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,14 @@ def about(name: str) -> str:
     return _ABOUT.get(name) or (ANALYSES[name].answers if name in ANALYSES else "")
 
 
-def parts_of(name: str, upstream: Upstream, store: Store, *, only: Mapping[str, Any]) -> Iterator[pa.Table]:
+def parts_of(
+    name: str,
+    upstream: Upstream,
+    store: Store,
+    *,
+    only: Mapping[str, Any],
+    objective: Objective = OBJECTIVES[PAPERS_OBJECTIVE],
+) -> Iterator[pa.Table]:
     """Yield the rows of a table, one Arrow table for each chain.
 
     Args:
@@ -96,6 +105,7 @@ def parts_of(name: str, upstream: Upstream, store: Store, *, only: Mapping[str, 
         upstream: what the store holds of each stage.
         store: where it is.
         only: values of keys that chains must have, if they have the key.
+        objective: of the study.
     """
     source = available(upstream)[name]
     for chain, files in source.files(upstream[source.stage]).items():
@@ -111,7 +121,7 @@ def parts_of(name: str, upstream: Upstream, store: Store, *, only: Mapping[str, 
         columns = {column: np.concatenate([part[column] for part in decoded]) for column in decoded[0]}
         n_rows = len(next(iter(columns.values())))
         rows = {**{key: np.full(n_rows, value) for key, value in keys.items()}, **columns}
-        yield _arrow_table(rows, units, described(ANALYSES[name].row) if name in ANALYSES else {})
+        yield _arrow_table(rows, units, described(scored_by(objective, ANALYSES[name].row)) if name in ANALYSES else {})
 
 
 def keys_of(chain: ChainId) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from pipeline.store.tables import Columns, columns_of, described, rows_of
 from pipeline.workflow.identity import OutputId, arms_of, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.analysis.comparison import VERDICTS
-from tasks.analysis.registry import Analysis, StudyData
+from tasks.analysis.registry import Analysis, scored_by
 from tasks.analysis.tables import ANALYSES
 
 
@@ -58,7 +58,7 @@ def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
 def applies(one: Analysis, settings: Settings) -> bool:
     """Return whether a study has what an analysis is about."""
     networks = settings.needs_ensemble or not {"collect", "train"} & set(one.reads)
-    papers = settings.has_papers_target or one.section != "paper"
+    papers = (settings.has_papers_target and settings.evolution.maximised.is_papers) or one.section != "paper"
     searched = one.search in (None, settings.evolution.search)
     return networks and papers and searched and (settings.tank is not None or not one.needs_tank)
 
@@ -73,9 +73,9 @@ def _item(
 
 def _compute(item: Item[AnalysisSpec], inputs: Inputs) -> Files:
     one = ANALYSES[item.spec.analysis]
-    study: StudyData = StudyFiles(item.spec.data, item.execution, inputs)
+    study = StudyFiles(item.spec.data, item.execution, inputs)
     columns = columns_of(one.row, one.compute(study))
-    units = {name: about.get("unit", "") for name, about in described(one.row).items()}
+    units = {name: about.get("unit", "") for name, about in described(scored_by(study.objective, one.row)).items()}
     table = encode_table(columns, schema=one.name, version=one.version, producer=item.key, units=units)
     return {table_file(one.name): table}
 
@@ -112,7 +112,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     known = {name: value for name, value in metrics.items() if value is not None and isfinite(value)}
     counted = ", ".join(f"{name} ({len(rows):,})" for name, rows in tables.items())
     lines = [*textwrap.wrap(f"rows of the tables of study {settings.name}: {counted}", 78), *lines]
-    return Summary(lines=lines, metrics=known, artifacts=tables_of(tables), of_study=True)
+    return Summary(lines=lines, metrics=known, artifacts=tables_of(tables, settings.evolution.maximised), of_study=True)
 
 
 ANALYSE = Stage(

@@ -1,7 +1,7 @@
 """Environments of a study: built from settings and trained networks, and what it takes to simulate designs in them."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.design import Designs, random_designs
-from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Deviation, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual import Architecture
 from tasks.seeding import generator
@@ -180,10 +180,10 @@ def check_media(settings: Settings) -> None:
 class FitnessSpec:
     """What designs are selected for."""
 
-    disagreement_penalty: float  # weight of the members' disagreement; 0 without an ensemble
-    objective: ObjectiveName
-    objective_depths: tuple[float, ...]  # [m], over which an objective over depths is the mean; otherwise none
-    deviation: Deviation  # what σ over members is; "population" without an ensemble
+    disagreement_penalty: float = 0.0  # weight of the members' disagreement; 0 without an ensemble
+    objective: ObjectiveName = PAPERS_OBJECTIVE
+    objective_depths: tuple[float, ...] = ()  # [m], over which an objective over depths is the mean; otherwise none
+    deviation: Deviation = "population"  # what σ over members is; "population" without an ensemble
 
 
 def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:
@@ -198,10 +198,11 @@ def evaluate_designs(
     designs: Designs, simulation: SimulationSpec, execution: Execution, environment: Environment, fitness: FitnessSpec
 ) -> Evaluation:
     """Return the scores of designs; displacement is that at the environment's own depth."""
-    motor_work = OBJECTIVES[fitness.objective].motor_work
+    objective = OBJECTIVES[fitness.objective]
+    needed = {"trace": objective.trace, "motor_work": objective.motor_work}
     at = {depth: replace(environment, depth=depth) for depth in fitness.objective_depths}
     rollouts = {
-        depth: roll_out(simulation, execution, of_depth, designs, motor_work=motor_work)
+        depth: roll_out(simulation, execution, of_depth, designs, **needed)
         for depth, of_depth in (at | {environment.depth: environment}).items()
     }
     return evaluate(
@@ -225,10 +226,7 @@ def scorer(
         if size >= len(designs):
             return evaluate_designs(designs, simulation, execution, environment, fitness)
         parts = spread([designs[first : first + size] for first in range(0, len(designs), size)])
-        return Evaluation(
-            fitness=np.concatenate([part.fitness for part in parts]),
-            displacement=np.concatenate([part.displacement for part in parts]),
-            com_displacement=np.concatenate([part.com_displacement for part in parts]),
-        )
+        names = [field.name for field in fields(Evaluation)]
+        return Evaluation(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     return score

@@ -49,7 +49,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         best.setdefault(trial.arm, []).append(final)
         curves.append(curve)
     unit = settings.evolution.maximised.unit
-    lines = [f"fitness: {settings.selected_for} [{unit}]"] if best else []
+    lines = [settings.evolution.maximised.with_unit(f"fitness: {settings.selected_for}")] if best else []
     metrics = {"n_diverged": float(sum(curve["n_diverged"].sum() for curve in curves))}
     for arm, fitness in best.items():
         known = [value for value in fitness if np.isfinite(value)]

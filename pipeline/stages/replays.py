@@ -120,6 +120,7 @@ def _replay(
         robot=_address(champion),
         group=f"{label}, {champion.depth:g} m",
         in_target=seen_in == study.target,
+        score=champion.zero_shot,
     )
 
 

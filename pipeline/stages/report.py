@@ -162,7 +162,7 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     elites = elite_replays(study)
     page = replace(_study_page(spec, inputs, study), replays=[*replays_of(study), *(replay for _, replay in elites)])
     drawings = draw_all(page)
-    files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables)}
+    files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables, settings.evolution.maximised)}
     for champion in study.champions:
         address = robot_address(champion.environment, champion.depth, champion.trial)
         files[f"{address}.json"] = design_json(champion.design)

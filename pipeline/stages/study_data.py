@@ -18,7 +18,7 @@ from pipeline.stages.data_sets import (
     networks_of,
     own_network,
 )
-from pipeline.stages.environments import SimulationSpec, network_inputs, networks_among
+from pipeline.stages.environments import FitnessSpec, SimulationSpec, network_inputs, networks_among
 from pipeline.stages.segments import POPULATION, population_of
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
@@ -27,8 +27,9 @@ from pipeline.workflow.identity import OMIT_DEFAULT, InputName, TrialId, arms_of
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.analysis.registry import AnalysisSettings, Assessed
 from tasks.analysis.scores import Champion, ScoredTrial
+from tasks.arrays import Float64
 from tasks.design import Designs
-from tasks.evolution import Population
+from tasks.evolution import OBJECTIVES, Objective, Population
 from tasks.residual import Learner
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
@@ -47,6 +48,7 @@ class DataSpec:
     simulation: SimulationSpec
     settings: AnalysisSettings
     target: EnvironmentName = field(default=PAPERS_TARGET, metadata=OMIT_DEFAULT)
+    fitness: FitnessSpec = field(default=FitnessSpec(), metadata=OMIT_DEFAULT)  # in the target
 
 
 def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
@@ -64,6 +66,7 @@ def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
             settings.rollout.n_settle,
         ),
         settings.target,
+        environments.fitness_spec(settings, settings.target),
     )
 
 
@@ -157,9 +160,13 @@ class StudyFiles:
         return self.spec.target
 
     @property
+    def objective(self) -> Objective:
+        return OBJECTIVES[self.spec.fitness.objective]
+
+    @property
     def has_papers_target(self) -> bool:
-        slush = self.spec.simulation.media.get("slush")
-        return self.target == PAPERS_TARGET and isinstance(slush, Slush) and slush.is_papers
+        slush, is_papers = self.spec.simulation.media.get("slush"), self.objective.is_papers
+        return is_papers and self.target == PAPERS_TARGET and isinstance(slush, Slush) and slush.is_papers
 
     def at_target(self, depth: float) -> Environment:
         return environments.build_environment(self.spec.simulation.media, self.target, depth, {})
@@ -201,6 +208,10 @@ class StudyFiles:
             trace=trace,
             physics=physics or self.settings.physics,
         )
+
+    def score(self, environment: Environment, designs: Designs) -> Float64:
+        spec = self.spec
+        return environments.evaluate_designs(designs, spec.simulation, self.execution, environment, spec.fitness).scores
 
     def rng(self, *identity: str | float) -> Generator:
         return generator(self.spec.seed, "analyse", *identity)

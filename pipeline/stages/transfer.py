@@ -6,10 +6,8 @@ target: the gap that remains is the body's fault.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import cast
-
-import numpy as np
+from dataclasses import dataclass, field
+from typing import Any, cast
 
 from pipeline.config.settings import Settings
 from pipeline.report.render import as_text
@@ -36,10 +34,11 @@ from pipeline.workflow.stage import (
     Summary,
     Upstream,
 )
+from tasks.analysis.registry import scored_by
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 from tasks.design import Designs
-from tasks.evolution import Deviation, disagreement
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Deviation, ObjectiveName, disagreement
 
 SCORED = "scored"  # role of the inputs of later stages that are a trial's scores and champion
 _ADAPTED_TO = InputName("adapted")  # the last segment of the adaptation
@@ -55,6 +54,7 @@ class ScoreSpec:
     trial: TrialSpec
     home: SimulationSpec  # of the environment where it evolved
     deviation: Deviation = field(default="population", metadata=OMIT_DEFAULT)  # what σ over its members is
+    objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT)  # what its scores are of
 
 
 TransferSpec = SegmentSpec | ScoreSpec  # A segment of an adaptation, or the scoring at its end
@@ -84,7 +84,7 @@ def _item(
         trial = chain.spec.identity
         home = environments.simulation_spec(settings, trial.environment)
         deviation = environments.fitness_spec(settings, trial.environment).deviation
-        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation)
+        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation, chain.spec.objective)
         networks = networks_of(trial, settings.learner(trial.environment))
         inputs |= environments.network_inputs(networks, upstream)
         if previous is not None:
@@ -118,39 +118,37 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     files = {CHAMPION: design_json(champion)}
     networks = environments.networks_among(inputs)
     at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, networks)
-    by_member = np.atleast_2d(environments.roll_out(home, execution, at_home, champion).displacement)[:, 0]
-    has_sd = at_home.is_ensemble and len(by_member) > 1
-    zero_shot, zero_shot_com = _at_target(trial, execution, champion)
-    scores = TrialScores(
-        fitness=float(evolved.fitness[evolved.champion()]),
-        predicted=float(by_member.mean()),
-        predicted_sd=float(disagreement(by_member[None], spec.deviation)[0]) if has_sd else None,
-        zero_shot=zero_shot,
-        zero_shot_com=zero_shot_com,
-    )
+    evaluation = environments.evaluate_designs(champion, home, execution, at_home, trial.fitness)
+    has_sd, found = at_home.is_ensemble and at_home.n_members > 1, dict[str, Any]()
+    for suffix, (values,) in {"": evaluation.displacement, "_score": evaluation.scores}.items():
+        found[f"predicted{suffix}"] = float(values.mean())
+        found[f"predicted_sd{suffix}"] = float(disagreement(values[None], spec.deviation)[0]) if has_sd else None
+    found |= _in_target("zero_shot", spec, execution, champion)
     if _ADAPTED_TO in inputs:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
             files[ADAPTED] = design_json(adapted)
-            root, whole = _at_target(trial, execution, adapted)
-            scores = replace(scores, adapted=root, adapted_com=whole)
-    return {**files, SCORE: encode_scores(scores)}
+            found |= _in_target("adapted", spec, execution, adapted)
+    if OBJECTIVES[spec.objective].is_papers:
+        found = {name: value for name, value in found.items() if not name.endswith("_score")}
+    return {**files, SCORE: encode_scores(TrialScores(float(evolved.fitness[evolved.champion()]), **found))}
 
 
-def _at_target(trial: TrialSpec, execution: Execution, design: Designs) -> tuple[float, float]:
-    """Return the displacement of a design's root and centre of mass [m]; NaN where it diverged.
+def _in_target(quantity: str, spec: ScoreSpec, execution: Execution, design: Designs) -> dict[str, float]:
+    """Return what :class:`TrialScores` says of a design in the target; NaN where it diverged.
 
     The trial is an adaptation, so that its environment is the target.
     """
-    rollouts = environments.roll_out(trial.simulation, execution, trial.at_home({}), design)
-    root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
-    return (root, whole) if np.isfinite(root) else (np.nan, np.nan)
+    trial = spec.trial
+    found = environments.evaluate_designs(design, trial.simulation, execution, trial.at_home({}), trial.fitness)
+    values = {"": found.displacement, "_com": found.com_displacement, "_score": found.scores}
+    return {f"{quantity}{suffix}": float(value[0, 0]) for suffix, value in values.items()}
 
 
-def read_trials(settings: Settings, results: Results, store: Store) -> list[ScoredTrial]:
-    """Return what is known of every trial's champion, in the order of the trials."""
+def read_trials(settings: Settings, results: Results, store: Store, displacement: bool = False) -> list[ScoredTrial]:
+    """Return what is known of every trial's champion, in the order of the trials; see :func:`scored_trial`."""
     files = {trial: {SCORE: store.read(parts[-1], SCORE)} for trial, parts in results.done.items()}
-    return [scored_trial(trial, files.get(trial)) for trial in trials_of(settings, "transfer")]
+    return [scored_trial(trial, files.get(trial), displacement) for trial in trials_of(settings, "transfer")]
 
 
 def _read_scores(store: Store, trial: ChainId, scored: Manifest) -> TrialScores | None:
@@ -160,15 +158,16 @@ def _read_scores(store: Store, trial: ChainId, scored: Manifest) -> TrialScores 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Tabulate champions in the target by depth and environment."""
     rows = transfer_rows(read_trials(settings, results, store), settings.target)
+    suffix = "" if settings.evolution.maximised.is_papers else "_score"  # as in a trial's metrics
     metrics = {
-        f"{quantity}.{row.environment}.{row.depth:g}m": mean.value
+        f"{quantity}{suffix}.{row.environment}.{row.depth:g}m": mean.value
         for row in rows
         for quantity, mean in (("predicted", row.predicted), ("zero_shot", row.zero_shot), ("adapted", row.adapted))
         if mean.value is not None
     }
     trials = [_summarise_trial(store, trial, done) for trial, done in results.done.items()]
     metrics["n_diverged"] = sum(trial.metrics.get(_ADAPTED_DIVERGED, 0.0) for trial in trials)
-    return Summary(as_text(TransferRow, rows, TOO_WIDE), metrics)
+    return Summary(as_text(scored_by(settings.evolution.maximised, TransferRow), rows, TOO_WIDE), metrics)
 
 
 def _curves(store: Store, part: Manifest) -> CurvePoints:

@@ -26,6 +26,10 @@ class TrialScores:
     zero_shot_com: float  # displacement of its centre of mass in the target
     adapted: float | None = None  # of its root with a controller that evolved there; None if not adapted
     adapted_com: float | None = None  # displacement of its centre of mass, likewise
+    predicted_score: float | None = None  # these four are in the objective's unit; None where it is displacement
+    predicted_sd_score: float | None = None
+    zero_shot_score: float | None = None
+    adapted_score: float | None = None
 
     def by_name(self) -> dict[str, float | None]:
         """Return every score; None where there is none or its rollout diverged."""
@@ -36,12 +40,12 @@ class TrialScores:
 def encode_scores(scores: TrialScores | None) -> bytes:
     """Return the file of a trial's scores, where None stands for a trial without a champion.
 
-    A score is null where its rollout diverged. Those of an adaptation are left out where there was none.
+    A score is null where its rollout diverged, and left out where there was none; σ is null without an ensemble.
     """
     if scores is None:
         return encode_json({"status": NO_CHAMPION})
-    not_written = () if scores.adapted is not None else ("adapted", "adapted_com")
-    written = {name: value for name, value in scores.by_name().items() if name not in not_written}
+    known = scores.by_name().items()
+    written = {name: value for name, value in known if getattr(scores, name) is not None or name == "predicted_sd"}
     return encode_json({"status": OK_STATUS, **written})
 
 
@@ -54,14 +58,18 @@ def decode_scores(data: bytes, source: str) -> TrialScores | None:
     return TrialScores(**read | diverged)
 
 
-def scored_trial(trial: TrialId, files: Files | None) -> ScoredTrial:
-    """Return what is known of a trial's champion, from the files of the stage transfer; None if it is not done."""
+def scored_trial(trial: TrialId, files: Files | None, displacement: bool = False) -> ScoredTrial:
+    """Return what is known of a trial's champion, from the files of the stage transfer; None if it is not done.
+
+    It is what the study's objective scores, or ``displacement`` in any case.
+    """
     identity = trial.environment, trial.depth, trial.index, replicate_of(trial)
     if files is None:
         return ScoredTrial(*identity)
     scores = decode_scores(files[SCORE], trial.label)
     if scores is None:
         return ScoredTrial(*identity, status="no champion")
-    names = ("fitness", "predicted", "predicted_sd", "zero_shot", "adapted")
-    known: dict[str, Any] = {name: math.nan if (value := getattr(scores, name)) is None else value for name in names}
-    return ScoredTrial(*identity, status="ok", **known)
+    suffix = "" if displacement or scores.predicted_score is None else "_score"
+    found = {name: getattr(scores, name + suffix) for name in ("predicted", "predicted_sd", "zero_shot", "adapted")}
+    known: dict[str, Any] = {name: math.nan if value is None else value for name, value in found.items()}
+    return ScoredTrial(*identity, scores.fitness, status="ok", **known)

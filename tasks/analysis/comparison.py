@@ -20,7 +20,7 @@ import scipy
 
 from tasks.analysis.estimates import Estimate, Mean, Sample, error_of, mean_of, sum_of_means
 from tasks.analysis.paper import NEGLIGIBLE
-from tasks.analysis.registry import column
+from tasks.analysis.registry import SCORE, column
 from tasks.analysis.scores import QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
 from tasks.world import EnvironmentName
 
@@ -56,10 +56,10 @@ class Comparison:
     a: str = column("A", form=written_arm, meaning="Environment where A evolved, and the quantity.")
     b: str = column("B", form=written_arm, meaning="The same of B, the reference.")
     depth: float = column("depth", "m", form="{:g}")
-    of_a: Mean = column("mean of A", "m")
-    of_b: Mean = column("mean of B", "m")
-    difference: Estimate = column("A − B", "m", meaning="Difference of the means, with the interval that decides.")
-    bound: float = column("negligible", "m", form="± {:.1f}", meaning="Largest difference that counts as none.")
+    of_a: Mean = column("mean of A", SCORE)
+    of_b: Mean = column("mean of B", SCORE)
+    difference: Estimate = column("A − B", SCORE, meaning="Difference of the means, with the interval that decides.")
+    bound: float = column("negligible", SCORE, form="± {:.1f}", meaning="Largest difference that counts as none.")
     p: float | None = column("p", form=p_value, shown=False, meaning="Of the test that the interval belongs to.")
     p_holm: float | None = column("p (Holm)", form=p_value, meaning="p, corrected over the rows shown together.")
     verdict: Verdict = column("verdict", form="{}", meaning="Whether the difference is negligible.")
@@ -74,7 +74,7 @@ def compare(
     """Compare arms of one study, or of two, at every depth where both have champions, the greatest depth first.
 
     B is the reference; a and b are the same for arms of one study. ``pairs`` are an arm of A and one of B each. A share
-    of what designs of the target travel, where champions are transferred to, is negligible.
+    of what designs of the target score, where champions are transferred to, is negligible.
     """
     depths = sorted({one.depth for one in a} & {one.depth for one in b}, reverse=True)
     rows = [

@@ -15,9 +15,10 @@ of a frozen dataclass, described here and nowhere else::
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_type_hints
 
+from tasks.evolution import Objective
 from tasks.world import EnvironmentName, environment_kind
 
 if TYPE_CHECKING:
@@ -37,16 +38,38 @@ Section = Literal["transfer", "paper", "networks", "trust", "tank", "more", ""]
 """Section of the page that shows a table; in those of "" it is a download alone."""
 
 
+class ScoreUnit(str):
+    """Unit of scores, which :func:`scored_by` replaces."""
+
+
+SCORE = ScoreUnit("m")
+
+
 def column(
     label: str, unit: str = "", *, form: Form = "{:z.1f}", meaning: str = "", shown: bool = True, default: Any = MISSING
 ) -> Any:
     """Describe a column, the field of a row: its heading, unit, how a number is written, and what it means.
 
-    ``meaning`` is a sentence, where the label does not say it all. A column that is not shown is in files alone.
+    ``meaning`` is a sentence, where the label does not say it all. A column that is not shown is in files alone. The
+    unit of what depends on the study's objective is ``SCORE``.
     """
     return field(
         default=default, metadata={"label": label, "unit": unit, "form": form, "meaning": meaning, "shown": shown}
     )
+
+
+def scored_by(objective: Objective, row: type) -> type:
+    """Return a kind of row as a study of an objective describes it: its scores are in the objective's unit."""
+    if objective.is_papers:
+        return row
+    types, columns = get_type_hints(row), []
+    for one in fields(row):
+        about = dict(one.metadata)
+        if isinstance(about["unit"], ScoreUnit):
+            meaning = about["meaning"].replace("Displacement of the root", objective.label)
+            about |= {"unit": objective.unit, "form": about["form"].replace(".1f", ".2f"), "meaning": meaning}
+        columns.append((one.name, types[one.name], field(metadata=about)))
+    return make_dataclass(row.__name__, columns)
 
 
 def environment_name(name: str) -> str:
@@ -130,7 +153,7 @@ class StudyData(Protocol):
 
     @property
     def has_papers_target(self) -> bool:
-        """Whether displacements are comparable with the paper's."""
+        """Whether scores are comparable with the paper's."""
 
     def at_target(self, depth: float) -> Environment:
         """Return the target at a depth [m]."""
@@ -148,6 +171,9 @@ class StudyData(Protocol):
         n_measure: int | None = None,
     ) -> Rollouts:
         """Simulate designs as the study does, unless physics or the number of steps are given."""
+
+    def score(self, environment: Environment, designs: Designs) -> Float64:
+        """Return (n_designs, n_members) scores of designs, in the unit of the study's objective."""
 
     def rng(self, *identity: str | float) -> Generator:
         """Return a generator that the study's seed and what it is for decide."""

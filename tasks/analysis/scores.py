@@ -1,4 +1,4 @@
-"""Scores: the displacements of a study's champions, one row for each trial, and the names of what they are."""
+"""Scores of a study's champions by its objective, one row for each trial, and the names of what they are."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 
 from tasks.analysis.estimates import Sample, sample_of
-from tasks.analysis.registry import OfTrial, column
+from tasks.analysis.registry import SCORE, OfTrial, ScoreUnit, column
 from tasks.design import Designs
 from tasks.world import EnvironmentName, environment_kind, in_order
 
 Quantity = Literal["predicted", "zero_shot", "adapted"]
-"""Displacement where a champion evolved; in the target; in the target with a controller that evolved there."""
+"""Score where a champion evolved; in the target; in the target with a controller that evolved there."""
 QUANTITIES: Mapping[Quantity, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}
 """Quantities as they are shown, in their usual order."""
 
@@ -30,15 +30,17 @@ class ScoredTrial(OfTrial):
     """What is known of a trial's champion; NaN where it diverged, or there is none."""
 
     replicate: int = column("replicate", form="{}", shown=False, meaning="Of the throws and networks; 0 without any.")
-    fitness: float = column("fitness", default=math.nan, meaning="Where it evolved: μ − kσ for an ensemble.")
+    fitness: float = column(
+        "fitness", ScoreUnit(), default=math.nan, meaning="Where it evolved: μ − kσ for an ensemble."
+    )
     predicted: float = column(
-        "predicted", "m", default=math.nan, meaning="Displacement of the root where it evolved: μ."
+        "predicted", SCORE, default=math.nan, meaning="Displacement of the root where it evolved: μ."
     )
     predicted_sd: float = column(
-        "σ", "m", default=math.nan, meaning="Standard deviation over the members of an ensemble."
+        "σ", SCORE, default=math.nan, meaning="Standard deviation over the members of an ensemble."
     )
-    zero_shot: float = column("zero-shot", "m", default=math.nan, meaning="Displacement of the root in the target.")
-    adapted: float = column("adapted", "m", default=math.nan, meaning="With a controller that evolved in the target.")
+    zero_shot: float = column("zero-shot", SCORE, default=math.nan, meaning="Displacement of the root in the target.")
+    adapted: float = column("adapted", SCORE, default=math.nan, meaning="With a controller that evolved in the target.")
     status: Literal["ok", "no champion", "not done"] = column(
         "status", form="{}", default="not done", meaning="ok, no champion (every design diverged), or not done."
     )

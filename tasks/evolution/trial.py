@@ -5,7 +5,7 @@ same as if it ran alone.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.evolution.objectives import OBJECTIVES, PAPERS_OBJECTIVE, Evaluation, ObjectiveName
 from tasks.evolution.search import EMPTY_POPULATION, Children, Optimiser, Population
 
+_RECORDED = ("fitness", "displacement", "com_displacement")  # of an evaluation
 History = dict[str, npt.NDArray[Any]]  # columns of equal length, one row per evaluated design; see history_units
 
 
@@ -93,7 +94,7 @@ def evolve(
 
 def _split_by_trial(evaluation: Evaluation, asked: Sequence[Children]) -> list[Evaluation]:
     ends = np.cumsum([len(children.identity) for children in asked])
-    arrays = [np.split(getattr(evaluation, field.name), ends[:-1]) for field in fields(Evaluation)]
+    arrays = [np.split(getattr(evaluation, name), ends[:-1]) for name in _RECORDED]
     return [Evaluation(*of_trial) for of_trial in zip(*arrays, strict=True)]
 
 
@@ -107,7 +108,7 @@ def _record(search: Optimiser, first_generation: int, generations: Sequence[_Gen
         **{name: [children.extra[name] for children in asked] for name in search.columns},
         **{name: [getattr(children, name) for children in asked] for name in ("parents", "n_draws")},
         "survived": [np.isin(children.identity, after.identity) for children, after in zip(asked, kept, strict=True)],
-        **{field.name: [getattr(evaluation, field.name) for evaluation in evaluations] for field in fields(Evaluation)},
+        **{name: [getattr(evaluation, name) for evaluation in evaluations] for name in _RECORDED},
     }
     return {
         **{name: np.concatenate(parts) for name, parts in columns.items()},

@@ -5,7 +5,7 @@ from the first step.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -41,6 +41,7 @@ class Rollouts(ArrayData):
     """(n_designs,) work of all motors after settling [J], braking included: the sum over steps and joints of
     |torque · speed of the joint| · dt, for each joint exactly as :class:`tasks.simulation.box2d.Motion` says, and then
     summed over the joints in float64. NaN where diverged; None unless requested."""
+    n_settle: int = 0  # steps of the trace before displacement is measured
 
     def __repr__(self) -> str:
         ok = self.displacement[self.status == OK]
@@ -98,7 +99,8 @@ def simulate(
         for component in environment.components
     ]
     second_half_seconds = (n_measure - n_measure // 2) * physics.time_step
-    return _measure(_stacked(motions), second_half_seconds, squeeze=not environment.is_ensemble)
+    found = _measure(_stacked(motions), second_half_seconds, squeeze=not environment.is_ensemble)
+    return replace(found, n_settle=n_settle)
 
 
 def _stacked(motions: Sequence[Motion]) -> Motion:

@@ -194,9 +194,11 @@ def test_a_target_an_objective_an_analysis_and_genes(tmp_path):
     assert (before["hollow"], before["girth"]) == (after["hollow"], after["girth"]) and before["bend"] != after["bend"]
     score = json.loads((scored / "score.json").read_text())
     assert score["zero_shot"] == score["predicted"]  # the target is the honey that it evolved in
+    assert score["zero_shot_score"] == score["fitness"] != score["zero_shot"]
     page = (out / "report/index.html/index.html").read_text()
     assert "displacement of the centre of mass [m]" in page and "longest link [m]" in page
-    assert "m of Honey, zero-shot champions moved" in page and "Transfer to Honey" in page
+    assert "m of Honey, the displacement of the centre of mass of zero-shot champions was" in page
+    assert "Transfer to Honey" in page
     assert not any(word in page for word in ("True Slush", "paper</", "paper’s"))
     for name in ADDED:
         (tmp_path / name).unlink()

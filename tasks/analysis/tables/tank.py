@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.analysis.registry import OfTrial, StudyData, analysis, column
+from tasks.analysis.registry import SCORE, OfTrial, StudyData, analysis, column
 from tasks.analysis.tank import TankTrials, count_crossings, crossings, nearest_the_mean, restarted
 from tasks.world import DryLand, Environment, Physics
 
@@ -19,7 +19,7 @@ class TankRow(OfTrial):
     """A champion in the virtual tank."""
 
     proposed: bool = column("to build", form=lambda chosen: "✓" if chosen else "", meaning="Nearest to the mean.")
-    zero_shot: float = column("zero-shot", "m", meaning="Displacement in the target, at its own depth.")
+    zero_shot: float = column("zero-shot", SCORE, meaning="Displacement of the root in the target, at its own depth.")
     length_cm: float = column("length", "cm", form="{:.0f}", meaning="As built, settled in the filled tank.")
     wet_trials: TankTrials = column("in the tank", form=written_trials)
     dry_trials: TankTrials = column("on the dry floor", form=written_trials)

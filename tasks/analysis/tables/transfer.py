@@ -7,12 +7,12 @@ import numpy as np
 
 from tasks.analysis import paper
 from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
-from tasks.analysis.registry import OfArm, StudyData, analysis, column, percent
+from tasks.analysis.registry import SCORE, OfArm, ScoreUnit, StudyData, analysis, column, percent
 from tasks.analysis.scores import ScoredTrial, arms
 from tasks.world import EnvironmentName
 
 
-@analysis("scores", row=ScoredTrial, reads=("transfer",), answers="How far does the champion of each trial get?")
+@analysis("scores", row=ScoredTrial, reads=("transfer",), answers="How well does the champion of each trial do?")
 def scores(study: StudyData) -> Sequence[ScoredTrial]:
     """List every trial."""
     return study.trials
@@ -23,14 +23,12 @@ class TransferRow(OfArm):
     """The champions of one environment at one depth."""
 
     n: int = column("n", form="{}", meaning="Trials.")
-    predicted: Mean = column("predicted", "m", meaning="Where it evolved: for an ensemble the mean μ over its members.")
-    sigma: float | None = column("σ", "m", meaning="Mean deviation over the members of an ensemble.")
-    fitness: float | None = column("μ − kσ", meaning="Mean of what evolution maximised, for an ensemble.")
-    zero_shot: Mean = column("zero-shot", "m", meaning="Displacement of the root in the target, as it is.")
-    zero_shot_share: float | None = column(
-        "share", form=percent, meaning="Of the zero-shot displacement of designs evolved in the target."
-    )
-    adapted: Mean = column("adapted", "m", meaning="With a controller that evolved in the target.")
+    predicted: Mean = column("predicted", SCORE, meaning="Where it evolved: for an ensemble the mean μ over members.")
+    sigma: float | None = column("σ", SCORE, meaning="Mean deviation over the members of an ensemble.")
+    fitness: float | None = column("μ − kσ", ScoreUnit(), meaning="Mean of what evolution maximised, for an ensemble.")
+    zero_shot: Mean = column("zero-shot", SCORE, meaning="Displacement of the root in the target, as it is.")
+    zero_shot_share: float | None = column("share", form=percent, meaning="Of the zero-shot mean of the target's own.")
+    adapted: Mean = column("adapted", SCORE, meaning="With a controller that evolved in the target.")
     adapted_share: float | None = column("share", form=percent)
     paper_zero_shot: float | None = column("paper", "m", meaning="The paper's mean over 10 trials, zero-shot.")
     paper_adapted: float | None = column("paper, adapted", "m", meaning="The same, adapted.")
@@ -101,7 +99,7 @@ def _metrics(rows: Sequence[TransferRow]) -> dict[str, float | None]:
     "transfer",
     row=TransferRow,
     reads=("transfer",),
-    answers="How far do champions get in the target, by where they evolved?",
+    answers="How well do champions do in the target, by where they evolved?",
     section="transfer",
     metrics=_metrics,
 )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.analysis.estimates import Estimate, Mean, mean_of, sample_of, sum_of_means
-from tasks.analysis.registry import OfArm, StudyData, analysis, column
+from tasks.analysis.registry import SCORE, OfArm, StudyData, analysis, column
 from tasks.analysis.scores import Champion, arms
 from tasks.design import Designs, jittered
 
@@ -22,9 +22,9 @@ class LuckRow(OfArm):
     """The champions of one environment at one depth, scored zero-shot from one start and from many."""
 
     n: int = column("n", form="{}", meaning="Champions with a finite score from every start.")
-    one: Mean = column("one start", "m", meaning="Zero-shot, as in every other table.")
-    again: Mean = column(f"{N_STARTS} starts", "m", meaning="Mean over starts that differ by 1 mm and 1 mrad a joint.")
-    luck: Estimate = column("luck", "m", form="{:z.2f}", meaning="One start minus the mean over many.")
+    one: Mean = column("one start", SCORE, meaning="Zero-shot, as in every other table.")
+    again: Mean = column(f"{N_STARTS} starts", SCORE, meaning="Mean over starts with joints 1 mm and 1 mrad off.")
+    luck: Estimate = column("luck", SCORE, form="{:z.2f}", meaning="One start minus the mean over many.")
 
 
 @analysis(
@@ -49,9 +49,8 @@ def luck(study: StudyData) -> list[LuckRow]:
 
 
 def scored_again(study: StudyData, champion: Champion) -> float:
-    """Return a champion's mean displacement over the starts [m]; NaN if one diverged."""
-    rollouts = study.simulate(study.at_target(champion.depth), moved_joints(study, champion))
-    return float(rollouts.displacement.mean())
+    """Return a champion's mean score over the starts; NaN if one diverged."""
+    return float(study.score(study.at_target(champion.depth), moved_joints(study, champion))[:, 0].mean())
 
 
 def moved_joints(study: StudyData, champion: Champion) -> Designs:

@@ -1,7 +1,7 @@
 """The registry of objectives, and fitness from the scores of an ensemble. Paper, "Performance Evaluation"."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -20,6 +20,12 @@ class Objective:
     score: Callable[[Rollouts], Float64]  # a score for each, in the shape of ``rollouts.displacement``
     motor_work: bool = False  # whether the score needs ``rollouts.motor_work``
     over_depths: bool = False  # whether it is the mean of the scores at several depths, which are a setting
+    trace: bool = False  # whether the score needs ``rollouts.trace``
+
+    @property
+    def is_papers(self) -> bool:
+        """Whether it is the paper's, whose scores are displacements."""
+        return self.name == PAPERS_OBJECTIVE
 
     def in_words(self, depths: Sequence[float] = ()) -> str:
         """Name it within a sentence, with the depths [m] that it is the mean over: none, or at least two."""
@@ -27,6 +33,10 @@ class Objective:
             return self.label.lower()
         *others, last = (f"{depth:g}" for depth in depths)
         return f"{self.label.lower()} over depths of {', '.join(others)} and {last} m"
+
+    def with_unit(self, words: str) -> str:
+        """Add the unit to a heading, if there is one."""
+        return f"{words} [{self.unit}]" if self.unit else words
 
 
 OBJECTIVES: dict[str, Objective] = {}  # objectives by name
@@ -56,6 +66,7 @@ class Evaluation:
     fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged, at any depth
     displacement: Float64  # (n_designs, n_members) displacement of the root [m]; NaN where diverged
     com_displacement: Float64  # (n_designs, n_members) the same of the whole robot's centre of mass
+    scores: Float64 = field(default_factory=lambda: np.empty((0, 0)))  # (n_designs, n_members) by the objective
 
 
 def evaluate(
@@ -76,18 +87,22 @@ def evaluate(
         deviation: what σ is.
 
     Raises:
-        ValueError: an objective over depths has no depths, or another one has some.
+        ValueError: an objective over depths has no depths, or another one has some; or its scores have another shape.
     """
     chosen = OBJECTIVES[objective]
     if chosen.over_depths != bool(at_depths):
         expected = "at least 1" if chosen.over_depths else "0"
         raise ValueError(f"objective {chosen.name!r}: at_depths has length {len(at_depths)}, expected {expected}")
     scores = _mean_over_depths(chosen, rollouts, at_depths) if chosen.over_depths else chosen.score(rollouts)
+    if np.shape(scores) != rollouts.displacement.shape:
+        expected = f"that of rollouts.displacement, {rollouts.displacement.shape}"
+        raise ValueError(f"objective {chosen.name!r}: its score has shape {np.shape(scores)}, expected {expected}")
     by_member = np.atleast_2d(scores).T
     return Evaluation(
         fitness=penalised_mean(by_member, disagreement_penalty=disagreement_penalty, deviation=deviation),
         displacement=np.atleast_2d(rollouts.displacement).T,
         com_displacement=np.atleast_2d(rollouts.com_displacement).T,
+        scores=by_member,
     )
 
 

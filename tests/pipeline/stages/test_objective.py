@@ -1,26 +1,34 @@
 """Studies with another objective than the paper's: what is selected for it, and what states it."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from small_study import labelled, run
+from command_line import call
+from small_study import labelled, run, silent
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
+from pipeline.results import recorded_study
+from pipeline.results.comparisons import compare_studies
+from pipeline.results.recorded_study import open_study
 from pipeline.stages import environments
 from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.segments import CURVE, HISTORY, POPULATION, population_of
-from pipeline.stages.transfer import SCORE, TRANSFER
-from pipeline.store.encoding import decode_json, decode_table
+from pipeline.stages.study_data import data_spec
+from pipeline.stages.transfer import TRANSFER
+from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
-from pipeline.workflow.identity import to_json
+from pipeline.workflow.identity import to_json, trials_of
+from pipeline.workflow.record import DrivenStudy, settings_of
 from pipeline.workflow.stage import Execution
 from tasks.design import Designs
+from tasks.evolution import OBJECTIVES, Objective
 
 SETTINGS = """
 name: fast
@@ -76,13 +84,111 @@ def test_tables_and_the_page_name_it_and_state_its_unit(fast, settings, tmp_path
     assert "best fitness [m/s]" in store.read(done, "fitness_curves.svg").decode()
 
 
-def test_champions_are_compared_by_displacement(fast):
-    store, upstream = fast
-    for label, parts in labelled(upstream["transfer"].done).items():
-        scores = decode_json(store.read(parts[-1], SCORE), label)
-        assert scores["fitness"] != scores["predicted"]
-        if label.startswith("true_slush"):
-            assert scores["zero_shot"] == scores["predicted"]
+def backward(rollouts):
+    return -rollouts.displacement
+
+
+def straightness(rollouts):
+    """Displacement of the root by the length of its path, with a trace of every member."""
+    path = rollouts.trace[..., rollouts.n_settle - 1 :, 0, :2].astype(np.float64)
+    return abs(rollouts.displacement) / np.linalg.norm(np.diff(path, axis=-2), axis=-1).sum(axis=-1)
+
+
+CARRIER = "displacement_per_energy"  # settings know the names that are registered before they are declared
+OWN = {
+    "backward": Objective(CARRIER, "Backward displacement", "m", backward),
+    "straightness": Objective(CARRIER, "Straightness", "", straightness, trace=True),
+}
+
+
+@pytest.fixture(scope="module", params=[*OWN, "mean_over_depths", CARRIER])  # the last leaves all as it was
+def scored(request, tmp_path_factory, settings):
+    """A study with an objective, the results of its stages, and a function that scores a design."""
+    with pytest.MonkeyPatch.context() as patch:
+        name = CARRIER if request.param in OWN else request.param
+        patch.setitem(OBJECTIVES, name, OWN.get(request.param, OBJECTIVES[name]))
+        depths = (0.0, 1.0) if request.param == "mean_over_depths" else None
+        evolution = settings.evolution.model_copy(update={"objective": name, "objective_depths": depths})
+        environments_ = ("true_slush", "dry_land", "randomised_slush")
+        grid = settings.grid.model_copy(update={"environments": environments_, "n_trials": 2})
+        settings = settings.model_copy(update={"evolution": evolution, "grid": grid})
+        store = Store.open(tmp_path_factory.mktemp("scored") / "store", create=True)
+        with serial_cluster() as cluster:
+            upstream = run(settings, store, cluster)
+        DrivenStudy(settings, store, silent).update(upstream)
+        known = dict.fromkeys(OWN, settings)  # unlike those that are registered before settings are declared
+        patch.setattr(
+            recorded_study,
+            "settings_of",
+            lambda record: known.get(record.settings["evolution"]["objective"]) or settings_of(record),
+        )
+
+        def score(design, home):
+            simulation = environments.simulation_spec(settings, home)
+            at = environments.build_environment(simulation.media, home, 1.0, {})
+            found = [
+                settings.evolution.maximised.score(
+                    environments.roll_out(
+                        simulation, Execution(), replace(at, depth=depth), design, trace=True, motor_work=True
+                    )
+                )
+                for depth in depths or (1.0,)
+            ]
+            return np.mean(found, axis=0)
+
+        yield open_study("fast", store.root), upstream, score
+
+
+def test_champions_are_scored_by_it_in_the_target(scored):
+    study, _, score = scored
+    best = {}
+    for row in study.champions().to_pylist():
+        design = study.champion(row["environment"], depth=1.0, trial=row["trial"])
+        by_member = score(design, row["environment"])
+        assert row["predicted_score"] == by_member.mean()
+        assert row["predicted_sd_score"] == (by_member.std() if len(by_member) > 1 else None)
+        assert row["zero_shot_score"] == score(design, "true_slush")[0]
+        assert row["zero_shot"] == study.simulate(design, depth=1.0).displacement[0]
+        adapted = study.champion(row["environment"], depth=1.0, trial=row["trial"], adapted=True)
+        assert row["adapted_score"] == score(adapted, "true_slush")[0]
+        best.setdefault(row["environment"], []).append(row["zero_shot_score"])
+    for row in study.table("transfer").to_pylist():
+        assert row["zero_shot"] == pytest.approx(np.mean(best[row["environment"]]))
+    assert "paper" not in study.tables
+    unit = study.settings.evolution.maximised.unit.encode()
+    assert {study.table(name).field(column).metadata[b"unit"] for name, column in SCORES} == {unit}
+    assert study.champions().field("zero_shot_score").metadata[b"unit"] == unit
+
+
+SCORES = (("scores", "zero_shot"), ("transfer", "adapted"), ("luck", "again"))
+
+
+def test_the_best_by_it_is_listed_first(scored, capsys):
+    study, upstream, _ = scored
+    objective = study.settings.evolution.maximised
+    assert call("champions", "fast", "--store", str(study.store.root)) == 0
+    said = capsys.readouterr().out
+    assert f"champions by zero-shot {objective.label.lower()} in True Slush" in said
+    rows = sorted(study.champions().to_pylist(), key=lambda row: -row["zero_shot_score"])
+    first = next(line for line in said.splitlines() if re.search(r" 1 +[01] ", line))
+    assert f"{rows[0]['zero_shot_score']:z.2f}".replace("-", "−") in first
+    (done,) = labelled(upstream["report"].done)["index.html"]
+    page, words = study.store.read(done, "index.html").decode(), objective.label.lower()
+    assert f"the {words} of zero-shot champions was on average" in page and f"its {words} there" in page
+    heading = f"zero-shot [{objective.unit}]" if objective.unit else "zero-shot"
+    assert f">{heading}</th>" in page
+    label = f"{words} in True Slush [{objective.unit}]" if objective.unit else f"{words} in True Slush"
+    assert label in study.store.read(done, "transfer_at_depth.svg").decode()
+
+
+def test_studies_of_different_objectives_are_compared_by_displacement(fast, settings, scored, tmp_path):
+    (store, upstream), (study, *_) = fast, scored
+    DrivenStudy(settings, store, silent).update(upstream)
+    compared = compare_studies(study, open_study("fast", store.root))
+    assert compared.objective.name == "displacement"
+    row = next(row for row in compared.rows if row.a == "dry_land/zero_shot")
+    moved = study.table("champions", environment="dry_land")["zero_shot"].to_numpy()
+    assert row.of_a.value == pytest.approx(moved.mean())
 
 
 def test_the_paper_s_objective_leaves_keys_as_they_were(settings):
@@ -93,6 +199,8 @@ def test_the_paper_s_objective_leaves_keys_as_they_were(settings):
         ours, theirs = (to_json(stage.plan(of)[-1].spec) for of in (settings, paper))
         assert "objective" not in theirs and "objective_depths" not in theirs
         assert ours == {**theirs, "objective": "second_half_speed"}
+    ours, theirs = (to_json(data_spec(of, trials_of(of, "transfer"))) for of in (settings, paper))
+    assert ours.keys() - theirs.keys() == {"fitness"}
 
 
 def evolved(settings, tmp_path):

@@ -13,7 +13,10 @@ ADAPTED = replace(OF_ENSEMBLE, predicted_sd=None, adapted=4.0, adapted_com=3.5)
 DIVERGED = replace(ADAPTED, zero_shot=np.nan, zero_shot_com=np.nan, adapted=np.nan, adapted_com=np.nan)
 
 
-@pytest.mark.parametrize("scores", [OF_ENSEMBLE, ADAPTED, DIVERGED, None])
+OF_OBJECTIVE = replace(ADAPTED, predicted_score=0.5, zero_shot_score=0.25, adapted_score=np.nan)
+
+
+@pytest.mark.parametrize("scores", [OF_ENSEMBLE, ADAPTED, DIVERGED, OF_OBJECTIVE, None])
 def test_the_reader_is_the_inverse_of_the_writer(scores):
     assert repr(decode_scores(encode_scores(scores), "trial-0")) == repr(scores)  # NaN differs from itself
 

@@ -28,6 +28,9 @@ class PlantedStudy:
     def simulate(self, environment, designs, **options):
         return simulate(designs, environment, **STEPS, **options)
 
+    def score(self, environment, designs):
+        return self.simulate(environment, designs).displacement.T
+
 
 @pytest.fixture(scope="module")
 def planted(study):

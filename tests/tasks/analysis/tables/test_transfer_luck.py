@@ -26,7 +26,7 @@ def study():
         champions=champions,
         target="true_slush",
         at_target=lambda depth: TrueSlush(depth=depth),
-        simulate=lambda environment, made: simulate(made, environment, **STEPS),
+        score=lambda environment, made: simulate(made, environment, **STEPS).displacement[:, None],
         rng=lambda *identity: np.random.default_rng([len(str(part)) for part in identity]),
     )
 

@@ -73,6 +73,13 @@ def test_a_registered_objective_decides_the_fitness(com: Objective) -> None:
     np.testing.assert_array_equal(evaluation.displacement[0], [1.0, 3.0])
 
 
+def test_a_score_of_another_shape_is_refused(com: Objective, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(OBJECTIVES, com.name, replace(com, score=lambda rollouts: rollouts.com_displacement[0]))
+    expected = r"'com': its score has shape \(3,\), expected that of rollouts.displacement, \(2, 3\)"
+    with pytest.raises(ValueError, match=expected):
+        evaluate(ENSEMBLE, disagreement_penalty=1.0, objective=com.name)
+
+
 def test_speed_in_the_second_half_is_an_objective() -> None:
     # 0.1 and 0.3: μ = 0.2, σ = 0.1.
     evaluation = evaluate(ENSEMBLE, disagreement_penalty=1.0, objective="second_half_speed")
