@@ -1,5 +1,6 @@
 """Everything around the science: how a study is spread over machines, kept, resumed, tracked and shown."""
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -12,4 +13,9 @@ def _open_cache(function: Callable[..., Any]) -> Any:
     return KernelCache(function)
 
 
-kernel_cache.open_cache = _open_cache  # in whatever process imports this package: a user's, the driver's, a worker's
+# In whatever process imports this package: a user's, the driver's, a worker's.
+kernel_cache.open_cache = _open_cache
+if "PUDDLE_EXTENSIONS" in os.environ:
+    from pipeline.extensions import import_given
+
+    import_given()

@@ -13,6 +13,7 @@ import contextlib
 import fcntl
 import functools
 import hashlib
+import inspect
 import json
 import os
 import re
@@ -70,7 +71,7 @@ def _place(module: str) -> str:
     modules = read_modules("tasks")
     if module in kernel_sources(modules):
         return module
-    own = Path(str(sys.modules[module].__file__)).read_bytes()
+    own = inspect.getsource(sys.modules[module]).encode()
     return f"{module}-{hashlib.sha256(_joined(_reached({**modules, module: own}, [module]))).hexdigest()[:16]}"
 
 

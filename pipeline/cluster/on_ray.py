@@ -26,6 +26,7 @@ from typing import Any
 from pipeline.cluster.interface import Cluster, Done, Outcome, TaskFailed, Ticket, failure
 from pipeline.cluster.process import PINNED_THREADS, end_at_once, ended_by_signals, number_of_cores, signals_unwind
 from pipeline.errors import PuddleError
+from pipeline.extensions import VARIABLE as EXTENSIONS
 
 OBJECT_STORE_BYTES = 512 * 2**20  # shared memory of a local cluster; ensembles and results take megabytes
 
@@ -201,9 +202,9 @@ def _existing(address: str) -> Iterator[_Ray]:
             socket.create_connection((host, int(port)), timeout=15.0).close()
         except (OSError, OverflowError, ValueError) as error:
             raise PuddleError(f"{what}: expected host:port where one answers, or auto ({error})\n{advice}") from error
-    with _joined(
-        what, advice, Path("/"), address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": _PACKAGES}
-    ):
+    extensions = {name: value for name, value in os.environ.items() if name == EXTENSIONS}
+    sent = {"env_vars": PINNED_THREADS | extensions, "py_modules": _PACKAGES}
+    with _joined(what, advice, Path("/"), address=address, runtime_env=sent):
         yield _Ray(lambda: True, _UNREACHABLE.format(address=address))
 
 

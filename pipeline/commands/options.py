@@ -20,6 +20,7 @@ import typer
 from pipeline.cluster import Cluster, ray_cluster, serial_cluster
 from pipeline.cluster.process import check_limits, number_of_cores
 from pipeline.errors import PuddleError
+from pipeline.extensions import add
 
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
@@ -94,10 +95,15 @@ class SettingsOptions:
         Path | None,
         typer.Option("--tracks", help="Learn from these tracked throws (.csv or .parquet), not from simulated ones."),
     ] = None
+    extensions: Annotated[
+        list[Path] | None,
+        typer.Option("--with", help="A file of your own that registers a medium, a search, an objective, an analysis."),
+    ] = None
     store: StorePath = DEFAULT_STORE
 
     def __post_init__(self) -> None:
-        """Refuse more than one source of settings."""
+        """Refuse more than one source of settings, and import what they may name."""
+        add(self.extensions or ())
         options = {"--study": self.study, "--preset": self.preset, "--settings": self.settings_file}
         if len(given := [f"{option} {value}" for option, value in options.items() if value is not None]) > 1:
             raise PuddleError(
@@ -156,13 +162,15 @@ class SettingsOptions:
         for override in self.overrides or ():
             words += ["--set", override]
         words += ["--tracks", str(self.tracks)] if self.tracks else []
+        for extension in self.extensions or ():
+            words += ["--with", str(extension)]
         if self.store != Path(os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE):
             words += ["--store", str(self.store)]
         return shlex.join(words)
 
     def named(self, study: str) -> SettingsOptions:
         """Return the options that choose a study of the same store by its name."""
-        return SettingsOptions(study=study, store=self.store)
+        return SettingsOptions(study=study, extensions=self.extensions, store=self.store)
 
     @property
     def _preset(self) -> str:

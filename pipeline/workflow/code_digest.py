@@ -1,8 +1,8 @@
 """Digests of the code that a stage's results are made by, so that results of other code can be named.
 
 They are part of an item's record and of no key: whether an edit changes results, only its author knows. The code of a
-stage is that of the modules that specify and compute its items, and of all that they import of the science, the stages
-and the report. A module that is added changes the results of none that was there.
+stage is that of the modules that specify and compute its items, of a user's extensions, and of all that they import of
+the science, the stages and the report. A module that is added changes the results of none that was there.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pipeline.extensions import given
 from pipeline.sources import imported_names, parsed, read_modules
 from pipeline.store.manifest import Manifest
 from pipeline.workflow.stage import AnyStage
@@ -24,7 +25,9 @@ PACKAGES = ("tasks", "pipeline.stages", "pipeline.report")
 @functools.cache
 def recorded_code(stage: AnyStage) -> dict[str, str]:
     """Return what an item's record says of the code that made it: a short digest of each module of its stage."""
-    modules = digests([stage.item.__module__, stage.compute.__module__], read_modules(*PACKAGES))
+    extensions = {name: text.encode() for name, (_, text) in given().items()}
+    of_stage = stage.item.__module__, stage.compute.__module__
+    modules = digests([*of_stage, *extensions], read_modules(*PACKAGES) | extensions)
     return {"modules": " ".join(sorted(modules))}
 
 

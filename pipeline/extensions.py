@@ -1,0 +1,70 @@
+"""Files of a user's own (``--with FILE``) that register a medium, a search, an objective or an analysis.
+
+The process that is given them reads them once. Every process imports their text, which an environment variable holds,
+before it reads anything that may need them: so workers on other machines need no file.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import sys
+from collections.abc import Iterable
+from importlib.abc import ExecutionLoader
+from pathlib import Path
+
+from pipeline.errors import PuddleError
+
+VARIABLE = "PUDDLE_EXTENSIONS"
+
+
+class _Text(ExecutionLoader):
+    """Imports a module from its text."""
+
+    def __init__(self, path: str, text: str) -> None:
+        self._path, self._text = path, text
+
+    def get_filename(self, fullname: str) -> str:  # noqa: ARG002
+        return self._path
+
+    def get_source(self, fullname: str) -> str:  # noqa: ARG002
+        return self._text
+
+
+def given() -> dict[str, list[str]]:
+    """Return the path and the text of each extension by the name of its module."""
+    extensions: dict[str, list[str]] = json.loads(os.environ.get(VARIABLE, "{}"))
+    return extensions
+
+
+def add(files: Iterable[Path]) -> None:
+    """Import files, and have every process that this one starts import them.
+
+    Raises:
+        PuddleError: a file can't be read or imported, or its name is not that of a new module.
+    """
+    from tasks.discovery import located
+
+    for file in files:
+        path, name = file.expanduser().resolve(), file.stem
+        known = given().get(name)
+        if known and known[0] == str(path):
+            continue
+        if file.suffix != ".py" or not name.isidentifier() or known or importlib.util.find_spec(name):
+            raise PuddleError(f"--with {file}: expected a file NAME.py whose name no other module has")
+        os.environ[VARIABLE] = json.dumps(given() | {name: [str(path), path.read_text(encoding="utf-8")]})
+        try:
+            import_given()
+        except Exception as error:
+            raise PuddleError(f"--with {located(error, name, str(file))}") from error
+
+
+def import_given() -> None:
+    """Import the extensions that are not imported yet."""
+    for name, (path, text) in given().items():
+        if name not in sys.modules:
+            spec = importlib.util.spec_from_loader(name, _Text(path, text))
+            assert spec is not None and spec.loader is not None
+            sys.modules[name] = module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
