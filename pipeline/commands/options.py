@@ -170,7 +170,7 @@ class SettingsOptions:
 
     def named(self, study: str) -> SettingsOptions:
         """Return the options that choose a study of the same store by its name."""
-        return SettingsOptions(study=study, extensions=self.extensions, store=self.store)
+        return SettingsOptions(study=study, store=self.store)
 
     @property
     def _preset(self) -> str:

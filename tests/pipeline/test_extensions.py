@@ -1,0 +1,74 @@
+"""Files of a user's own, given by --with: imported wherever a study is computed, and refused in one line."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline.extensions import VARIABLE
+
+ROOT = Path(__file__).parents[2]
+HONEY = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), flags=re.DOTALL)
+OBJECTIVE = """
+from tasks.evolution.objectives.evaluation import Objective, register_objective
+
+register_objective(Objective("backwards", "Backwards", "m", lambda rollouts: -rollouts.displacement))
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run Python in a folder with a medium and an objective outside the sources."""
+    assert HONEY
+    (tmp_path / "molasses.py").write_text(HONEY[1].replace('"honey"', '"molasses"'))
+    (tmp_path / "aims.py").write_text(OBJECTIVE)
+
+    def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-P", *arguments]
+        variables = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+        return subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True)
+
+    return python
+
+
+def test_workers_throw_links_into_a_medium_of_a_file(run, tmp_path):
+    """Its settings have a place, an objective of another file is known, and the record has the digest of both."""
+    given = ("--with", "molasses.py", "--with", "aims.py", "--set", "target=molasses", "--set", "molasses.decay=3")
+    options = (*given, "--set", "evolution.objective=backwards", "--tracking-uri", "http://127.0.0.1:1")
+    done = run("-m", "pipeline", "collect", "--preset", "smoke", *options, "--workers", "1", "--store", "store")
+    assert done.returncode == 0, done.stderr
+    items = [json.loads(path.read_bytes()) for path in (tmp_path / "store").rglob("manifest.json")]
+    assert {item["identity"]["spec"]["media"]["molasses"]["decay"] for item in items} == {3.0}
+    digests = {item["record"]["code"]["modules"] for item in items}
+    (tmp_path / "aims.py").write_text(OBJECTIVE + "\nlimit = 1\n")
+    again = run("-m", "pipeline", "status", "smoke", *given[:4], "--store", "store")
+    assert "A different version of the code made items of collect" in again.stderr + again.stdout, digests
+
+
+def test_a_process_without_the_file_imports_its_text(run, tmp_path):
+    text = (tmp_path / "molasses.py").read_text()
+    elsewhere = json.dumps({"molasses": ["/elsewhere/molasses.py", text]})
+    program = "import pipeline, pipeline.kernels as k, tasks.world as w; print(w.ENVIRONMENTS['molasses'].label, k._place('molasses'))"
+    done = run("-c", program, **{VARIABLE: elsewhere})
+    assert re.fullmatch(r"Honey molasses-[0-9a-f]{16}\n", done.stdout), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("json.py", "", "--with json.py: expected a file NAME.py whose name no other module has"),
+        ("a-b.py", "", "--with a-b.py: expected a file NAME.py whose name no other module has"),
+        ("broken.py", "x = 1\ny = (", r"--with .*/broken.py:2: SyntaxError: '\(' was never closed"),
+        ("missing.py", None, "missing.py: No such file or directory"),
+    ],
+)
+def test_a_file_that_is_no_extension_is_refused_in_one_line(run, tmp_path, name, text, message):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    done = run("-m", "pipeline", "settings", "--preset", "smoke", "--with", name)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert re.search(message, done.stderr), done.stderr
