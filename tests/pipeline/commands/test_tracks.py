@@ -2,6 +2,7 @@
 
 import gzip
 import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,9 @@ from tank import filmed, write_tracks
 from pipeline.commands.options import StudyOptions
 from pipeline.results.recorded_study import open_study
 from pipeline.stages.collect import COLLECT, TRANSITIONS, read_transitions
-from pipeline.stages.tracked import check_tracks, with_tracks
+from pipeline.stages.tracked import check_tracks, report_lines, with_tracks
 from tasks.residual import MeasuredTransitions
-from tasks.tracks import residual_transitions
+from tasks.tracks import Tracks, residual_transitions
 
 SETTINGS = """name: tank
 network: {hidden_layers: 1, width: 4}
@@ -108,6 +109,21 @@ def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(collect
         assert str(file) in said and "it has changed since the study was recorded" in said
     finally:
         file.write_bytes(content)
+
+
+def test_what_was_dropped_and_repaired_is_said(collected) -> None:
+    """Every other picture is shown twice, and angles are those of ellipses."""
+    settings = open_study("tank", collected[0] / "store").settings
+    table, bars = filmed(4, rate=120.0)
+    shown = np.arange(len(table.time)) // 2 * 2
+    assert (table.throw[shown] == table.throw).all()
+    spun = (table.angle + 9 * table.time)[shown] % np.pi
+    given = replace(table, x=table.x[shown], y=table.y[shown], angle=spun)
+    _, report = residual_transitions(given, bars, Tracks(file="tracks.csv", fit="steps"), settings.physics)
+    lines = report_lines(asdict(report), settings, 1, 0)
+    assert f"{len(shown) // 2} frames at 60 a second" in lines[0]
+    assert any(line.startswith(f"warning: {len(shown) // 2} more frames were dropped") for line in lines)
+    assert any("angles are known up to half a turn" in line for line in lines)
 
 
 def edit(folder: Path, file: str, old: str, new: str) -> None:
