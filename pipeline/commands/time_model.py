@@ -173,7 +173,8 @@ def _rollout(settings: Settings, environment: EnvironmentName) -> float:
         engine = "rigid"
     learner = settings.learner(environment)
     if learner is None:
-        return n_steps * n_members * _SECONDS_PER_STEP[engine]
+        in_numpy = environments.cost_in_numpy(settings, environment) * _SECONDS_PER_STEP["batch"]
+        return n_steps * n_members * (_SECONDS_PER_STEP[engine] + in_numpy)
     physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
     flops = environments.network_flops(learner.network)
     return n_steps * n_members * (physics + _LINKS * flops / _FLOPS_OF_INFERENCE)

@@ -20,12 +20,14 @@ from tasks.residual import Architecture
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
+from tasks.simulation.fluids import is_compiled
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, environment_kind
 from tasks.world.medium import MediumError
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 MEMBER = "member"  # role of the inputs that are networks
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
+_CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land
 
 
 Media = Mapping[str, Parameters]  # settings of the environments' media, by group
@@ -122,7 +124,19 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
 def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate the cost of a generation, relative to one on dry land."""
     n_members, learner = number_of_members(settings, environment), settings.learner(environment)
-    return n_members * (1 + (network_flops(learner.network) / _FLOPS_OF_PHYSICS if learner else 0))
+    medium = network_flops(learner.network) / _FLOPS_OF_PHYSICS if learner else cost_in_numpy(settings, environment)
+    return n_members * (1 + medium)
+
+
+def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
+    """Estimate what a robot's step costs in a medium without a kernel, beside a step on dry land and relative to it."""
+    if settings.work.engine != "batch":
+        return 0.0  # where the slush is in NumPy, too
+    home = environment_kind(environment).environment(0.0, media_of(settings, environment))
+    if all(medium is None or is_compiled(medium) for medium in (component.medium for component in home.components)):
+        return 0.0
+    n_batched = min(batch_size(settings, environment), settings.grid.n_trials)
+    return _CALL_OF_MEDIUM / (settings.evolution.optimiser.population_size * n_batched) + _ROBOT_IN_MEDIUM
 
 
 def number_of_members(settings: Settings, environment: EnvironmentName) -> int:

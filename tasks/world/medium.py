@@ -66,7 +66,7 @@ def change_in(medium: Medium, links: LinkStates, physics: Physics) -> VelocityCh
         parts = (change.vx, change.vy, change.omega)
         return VelocityChange(*(part if np.shape(part) == shape else np.broadcast_to(part, shape) for part in parts))
     except Exception as error:
-        code = getattr(medium.velocity_change, "__code__", None)
+        code = getattr(getattr(medium, "law", medium.velocity_change), "__code__", None)
         place = f"{code.co_filename}:{code.co_firstlineno}" if code else type(medium).__name__
         raise MediumError(located(error, type(medium).__module__, place)) from error
 
