@@ -17,7 +17,7 @@ from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, ensemble_
 from pipeline.stages.replays import replay_in
 from pipeline.stages.train import TRAIN
 from pipeline.store import disk
-from pipeline.store.design_file import load_design, open_designs
+from pipeline.store.design_file import columns_of_designs, load_design, open_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of
@@ -149,6 +149,7 @@ def score_designs(
         yield f"  best: design {int(np.argmax(table['fitness']))}, {best}"
     if out is not None:
         units = {**_UNITS, "fitness": objective.unit}
+        table = {**columns_of_designs(path), **table}
         content = encode_table(table, schema="scores", version=1, producer=str(path), units=units)
         disk.write(out, content if out.suffix == ".parquet" else csv_of(table))
         yield f"  scores in {out}"
@@ -177,12 +178,17 @@ def _required_networks(options: SettingsOptions, settings: Settings, environment
     if data_set not in data_sets(settings):
         raise PuddleError(
             f"study {settings.name} trains no networks for {environment}: expected it in grid.environments. Choose the "
-            f"settings of a study that does: --study, --preset, --settings, --set."
+            f"settings of a study that does: --study, --preset, --settings, --set. {_studies(options)}"
         )
     try:
         return _networks(settings, options.open_store(), data_set)
     except MissingInputs as missing:
-        raise PuddleError(f"{missing}. `{options.command('study')}` computes it.") from None
+        raise PuddleError(f"{missing}. `{options.command('study')}` computes it. {_studies(options)}") from None
+
+
+def _studies(options: SettingsOptions) -> str:
+    names = store.studies() if (store := options.find_store()) else []
+    return f"{options.store} holds studies, for --study: {', '.join(names) or 'none'}"
 
 
 def _optional_networks(options: SettingsOptions, settings: Settings) -> _Networks:

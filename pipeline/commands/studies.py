@@ -118,10 +118,10 @@ def compare(
 
     Each arm is compared with the same arm at every depth: the difference A - B, its interval, and a verdict.
     """
-    from pipeline.report.render import as_text
+    from pipeline.report.render import MARKS, as_text
     from pipeline.results.comparisons import SAID_ABOVE, SUFFIXES, compare_arms, compare_studies, written_comparison
     from pipeline.store import disk
-    from tasks.analysis.comparison import VERDICTS, Comparison
+    from tasks.analysis.comparison import Comparison
     from tasks.analysis.registry import scored_by
 
     if (b is None) == (arms is None):
@@ -134,7 +134,7 @@ def compare(
     kind = scored_by(compared.objective, Comparison)
     to_stdout(compared.caution, *as_text(kind, compared.rows, SAID_ABOVE, width=_LINE_LENGTH))
     counts = Counter(row.verdict for row in compared.rows)
-    listed = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+    listed = ", ".join(f"{counts[verdict]} {verdict}" for verdict in MARKS if counts[verdict])
     to_stdout(
         f"\n{len(compared.rows)} comparisons: {listed}. They agree if the interval lies within what is "
         f"negligible, and differ if it lies outside and p is below 5 %."

@@ -6,9 +6,10 @@ Numbers are those of YAML 1.2: 050 is 50, and 1e-3 a number. A whole one may be 
 from __future__ import annotations
 
 import difflib
+import fnmatch
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
@@ -139,10 +140,7 @@ def _explain(model: type[BaseModel], settings: Any, name: str, overrides: Sequen
     where = (stated[-1] if stated else " with ".join([name, *within])) + (f": {field}" if field else "")
     match error["type"]:
         case "extra_forbidden":
-            schema = model.model_json_schema()
-            groups = (schema, *schema.get("$defs", {}).values())
-            known = sorted({setting for group in groups for setting in group.get("properties", ())})
-            return f"{where}: unknown setting{_did_you_mean(str(error['loc'][-1]), known)}"
+            return f"{where}: unknown setting{_other_setting(field, model.model_json_schema())}"
         case "missing":
             return f"{where}: expected a value, got none"
         case "value_error":
@@ -151,6 +149,28 @@ def _explain(model: type[BaseModel], settings: Any, name: str, overrides: Sequen
             return f"{where}: expected at least {error['ctx']['min_length']}, got {error['ctx']['actual_length']}"
     said = re.sub("^Input should (be )?", "expected ", error["msg"])
     return f"{where}: {said}, got {_show(error['input'])}"
+
+
+def _other_setting(field: str, schema: Mapping[str, Any]) -> str:
+    """Name a setting of the same group that is called much like an unknown one; if there is none, those of others."""
+    group, dot, word = field.rpartition(".")
+    known = _all_settings(schema, schema.get("$defs", {}))
+    if suggestion := _did_you_mean(word, [name for owner, name in known if fnmatch.fnmatch(group, owner)]):
+        return suggestion.replace("mean ", f"mean {group}{dot}")
+    close = difflib.get_close_matches(word, {name for _, name in known}, n=1)
+    others = [f"{owner}.{name}".lstrip(".") for owner, name in known if name in close and "*" not in owner]
+    return f"; did you mean {' or '.join(others)}?" if others else ""
+
+
+def _all_settings(schema: Mapping[str, Any], definitions: Mapping[str, Any], owner: str = "") -> list[tuple[str, str]]:
+    """List the dotted names of all groups, each with a setting of it; * is a name that users choose."""
+    known: list[tuple[str, str]] = []
+    for name, value in schema.get("properties", {}).items():
+        known.append((owner, name))
+        within = f"{owner}.{name}{'.*' * (value.get('type') == 'object')}".lstrip(".")
+        for group in re.findall(r"#/\$defs/(\w+)", json.dumps(value)):
+            known += _all_settings(definitions[group], definitions, within)
+    return known
 
 
 def _field(value: Any, location: Sequence[int | str]) -> str:

@@ -28,7 +28,7 @@ _MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
 _WIDTH = 78  # usual width of a terminal, which a table exceeds where its words can't be broken so far
 _MOST_CHARACTERS = (34, 28, 22, 16, 12)  # of a line of words there; the first that fits
 NONE = "–"  # stands where there is no value
-MARKS = dict(zip(VERDICTS, "✓≠?", strict=True))  # so that colour is not the only difference
+MARKS = dict(zip((*VERDICTS, "identical"), "✓≠?=", strict=True))  # so that colour is not the only difference
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Designs in files: one as JSON, design.json, and many as Parquet."""
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,19 @@ def open_designs(path: str | Path) -> Designs:
         texts = table[_DESIGN_JSON].to_pylist()
         return Designs.concatenate([design_from(text.encode(), f"{path}, row {row}") for row, text in enumerate(texts)])
     return _designs({name: table[name].to_pylist() for name in DTYPES if name in table.column_names}, str(path))
+
+
+def columns_of_designs(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Read all columns of a table of designs; what is neither a number nor equally many in each row becomes text."""
+    columns = {}
+    table = read_parquet(path.read_bytes()) if path.suffix != ".json" else pa.table({})
+    for name in table.column_names:
+        values, column = table[name].to_pylist(), table[name].to_numpy()
+        with contextlib.suppress(ValueError):  # lists of different lengths
+            column = column if column.dtype.kind in "biuf" else np.array(values)
+        is_text = column.dtype.kind not in "biuf"
+        columns[name] = np.array(["" if value is None else str(value) for value in values]) if is_text else column
+    return columns
 
 
 def _designs(genes: Mapping[str, Any], source: str) -> Designs:

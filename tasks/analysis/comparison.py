@@ -24,8 +24,8 @@ from tasks.analysis.registry import SCORE, column
 from tasks.analysis.scores import QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
 from tasks.world import EnvironmentName
 
-Verdict = Literal["agrees", "differs", "cannot tell"]
-VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+Verdict = Literal["agrees", "differs", "cannot tell", "identical"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)[:3]  # of a test; arms of the very same trials need none
 _LEVEL = 0.05  # of the tests
 
 
@@ -74,7 +74,7 @@ def compare(
     """Compare arms of one study, or of two, at every depth where both have champions, the greatest depth first.
 
     B is the reference; a and b are the same for arms of one study. ``pairs`` are an arm of A and one of B each. A share
-    of what designs of the target score, where champions are transferred to, is negligible.
+    of what designs of the target score, where champions are transferred to, is negligible. Identical arms come last.
     """
     depths = sorted({one.depth for one in a} & {one.depth for one in b}, reverse=True)
     rows = [
@@ -84,17 +84,19 @@ def compare(
         if len(x := sample(a, of_a, depth)) and len(y := sample(b, of_b, depth))
     ]
     corrected = zip(rows, holm([row.p for row in rows]), strict=True)
-    return [replace(row, p_holm=p, verdict=_after_correction(row.verdict, p)) for row, p in corrected]
+    judged = [replace(row, p_holm=p, verdict=_after_correction(row, p)) for row, p in corrected]
+    return sorted(judged, key=lambda row: row.verdict == "identical")
 
 
-def _after_correction(verdict: Verdict, p_holm: float | None) -> Verdict:
-    return "cannot tell" if verdict == "differs" and p_holm is not None and p_holm >= _LEVEL else verdict
+def _after_correction(row: Comparison, p_holm: float | None) -> Verdict:
+    return "cannot tell" if row.verdict == "differs" and p_holm is not None and p_holm >= _LEVEL else row.verdict
 
 
 def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, best: Sample) -> Comparison:
     gap, p = difference(x, y)
     bound = NEGLIGIBLE * abs(float((best if len(best) else y).values.mean()))
-    means, verdict = (mean_of(x.values), mean_of(y.values)), judge(gap, -bound, bound)
+    means = mean_of(x.values), mean_of(y.values)
+    verdict = "identical" if np.array_equal(x.values, y.values) else judge(gap, -bound, bound)
     return Comparison("/".join(a), "/".join(b), depth, *means, gap, bound, p, None, verdict)
 
 

@@ -1,6 +1,9 @@
+import csv
+import io
 import json
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command_line import call, refused
@@ -26,22 +29,27 @@ def test_designs_of_a_history_score_again_what_it_says(recorded, designs, tmp_pa
     scores = pq.read_table(out)
     for name in ("fitness", "displacement", "com_displacement"):
         np.testing.assert_array_equal(scores[name].to_pylist(), before[name].to_pylist())
+    assert scores["identity"].to_pylist() == before["identity"].to_pylist()  # what was read is there, too
+    assert {*before.column_names} < {*scores.column_names}
     said = capsys.readouterr().out
     assert f"Residual Slush, 1 m deep: {len(before)} designs, 0 diverged" in said and str(out) in said
 
 
 def test_scores_in_the_target_need_no_store(recorded, designs, tmp_path):
-    champions = open_study("tiny", recorded).champions().select(["design_json"])
+    champions = open_study("tiny", recorded).champions().select(["trial", "design_json"])
+    champions = champions.append_column("note", pa.array([None, *["lively"] * (len(champions) - 1)]))
     pq.write_table(champions, tmp_path / "champions.parquet")
     (tmp_path / "tiny.json").write_text(json.dumps({"name": "tiny", "rollout": {"n_settle": 5, "n_measure": 20}}))
     out = tmp_path / "scores.csv"
     at = ["--depth", "1", "--settings", str(tmp_path / "tiny.json")]
     assert call("score", str(tmp_path / "champions.parquet"), *at, "--out", str(out)) == 0
-    heading, *rows = out.read_text().splitlines()
-    assert heading == "design,diverged,fitness,displacement,com_displacement" and len(rows) == len(champions)
+    rows = list(csv.DictReader(io.StringIO(out.read_text())))
+    assert [*rows[0]] == [*champions.column_names, "design", "diverged", "fitness", "displacement", "com_displacement"]
+    assert [int(row["trial"]) for row in rows] == champions["trial"].to_pylist()
+    assert [row["note"] for row in rows] == ["", *["lively"] * (len(champions) - 1)]
     champion = open_study("tiny", recorded).champion("true_slush", depth=1.0, trial=0)
     again = simulate(champion, TrueSlush(depth=1.0), n_settle=5, n_measure=20).displacement[0]
-    assert float(rows[0].split(",")[3]) == pytest.approx(again, rel=1e-12)
+    assert float(rows[0]["displacement"]) == pytest.approx(again, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ nmae: x
         "lab.yaml: grid.depths[2]: expected a valid number, got null",
         "lab.yaml: grid.environments[1]: expected 'dry_land' or 'true_slush', got \"moon\"",
         "lab.yaml: grid.media[1].density: expected greater than 0, got 0",
-        "lab.yaml: grid.n_trails: unknown setting; did you mean n_trials?",
+        "lab.yaml: grid.n_trails: unknown setting; did you mean grid.n_trials?",
         "lab.yaml: nmae: unknown setting; did you mean name?",
         "lab.yaml: seed: expected greater than or equal to 0, got -1",
         "lab.yaml: slush: expected an object, got [1]",

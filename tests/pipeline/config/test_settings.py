@@ -59,7 +59,9 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["learners.a.throws=null"], "learners.a.throws: expected an object, got null"),
         (["learners.a.throws.n_throws=0"], "learners.a.throws.n_throws: expected greater than or equal to 2"),
         (["learners.a.network.form=wet"], "learners.a.network.form: expected 'plain' or 'wetted', got \"wet\""),
-        (["learners.a.network.frm=plain"], "learners.a.network.frm: unknown setting; did you mean form?"),
+        (["learners.a.network.frm=plain"], "unknown setting; did you mean learners.a.network.form?"),
+        (["slush.decay=3"], "--set slush.decay=3: slush.decay: unknown setting; did you mean training.decay?"),
+        (["n_steps=3"], "n_steps: unknown setting; did you mean throws.n_steps or designed_throws.n_steps?"),
         (["learners.a.n_members=0"], "learners.a.n_members: expected greater than 0, got 0"),
         (["learners.a.single=b"], "learners.a.single is 'b': expected"),
         (

@@ -52,7 +52,7 @@ def test_a_stopped_study_is_resumed_by_the_same_call(study_file, monkeypatch, ca
     [
         ("smok", {}, "preset 'smok': expected one of .*; did you mean smoke"),
         ("none.yaml", {}, "none.yaml: expected a settings file"),
-        ("smoke", {"grid": {"dephts": [1]}}, "grid.dephts: unknown setting; did you mean depths"),
+        ("smoke", {"grid": {"dephts": [1]}}, "grid.dephts: unknown setting; did you mean grid.depths"),
         ("smoke", {"grid.depths": [-1.0]}, "depths.*: expected greater than or equal to 0, got -1"),
         ("smoke", {"physics": puddle.Physics(gravity=1.0), "seed": object()}, "seed: expected a valid integer"),
         ("smoke", {"store": "/dev/null/store", "workers": 0}, "/dev/null"),  # found by the study's process

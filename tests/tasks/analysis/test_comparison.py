@@ -90,8 +90,17 @@ def test_studies_are_compared_at_every_common_depth_and_corrected_together():
     ]
     assert [row.p_holm for row in rows] == holm([row.p for row in rows])
     assert [row.bound for row in rows] == pytest.approx([2, 2, 0.8])  # without E, a fifth of B's own mean
-    same = compare(a, a, [(E, E)], E[0])
-    assert same[0].verdict == "agrees" and same[0].p is None
+
+
+def test_arms_of_the_same_trials_are_identical_and_come_last():
+    of_b = {**ARMS, ("dry_land", 9.0): ARMS["dry_land", 9.0] + 0.1}
+    rows = compare(trials_of(ARMS), trials_of(of_b), [(E, E), (DRY, DRY)], E[0])
+    told = [(row.depth, row.a.split("/")[0], row.verdict, row.p is None) for row in rows]
+    assert told == [
+        (9.0, "dry_land", "agrees", False),
+        (9.0, "true_slush", "identical", True),
+        (1.0, "dry_land", "identical", True),
+    ]
 
 
 def test_a_difference_of_many_needs_a_corrected_p():
