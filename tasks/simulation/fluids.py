@@ -16,7 +16,7 @@ from numba.core.errors import NumbaError
 
 from tasks.compiled import compiled, entry, inline
 from tasks.simd.lanes import Block
-from tasks.world.medium import Fluid, Medium, MediumError
+from tasks.world.medium import Fluid, LinkStates, Medium, MediumError, change_in
 from tasks.world.physics import Physics
 
 # Of a kernel, which has its own: see _kernel.
@@ -94,6 +94,7 @@ def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block) -
     try:
         return Push(entry(_kernel(medium.law, rows), block, of_lanes, 1), of_lanes)
     except NumbaError as error:
+        change_in(medium, LinkStates(*np.ones((9, 1), np.float32)), physics)  # says what is wrong, if arrays fail, too
         named = re.search(r'File "(.*?)", line (\d+)', str(error))
         place = f"{named[1]}:{named[2]}" if named else medium.law.__module__
         raise MediumError(
