@@ -84,7 +84,7 @@ def test_trials_have_the_replicates_that_they_depend_on(sets, analysed):
 
 def test_tables_name_the_data_set(sets, settings_with):
     store, upstream = sets
-    tables = study_tables.parts_of("learning_curves", upstream["train"], store, only={})
+    tables = study_tables.parts_of("learning_curves", upstream, store, only={})
     assert {name for table in tables for name in table["data_set"].to_pylist()} == {
         of.label for of in data_sets(settings_with())
     }
