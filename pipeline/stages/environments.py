@@ -130,8 +130,8 @@ def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
 
 def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate what a robot's step costs in a medium without a kernel, beside a step on dry land and relative to it."""
-    if settings.work.engine != "batch":
-        return 0.0  # where the slush is in NumPy, too
+    if settings.work.engine != "batch" or environment_kind(environment).learned:
+        return 0.0  # where the slush is in NumPy, too; or the medium's code is not here
     home = environment_kind(environment).environment(0.0, media_of(settings, environment))
     if all(medium is None or is_compiled(medium) for medium in (component.medium for component in home.components)):
         return 0.0
