@@ -28,7 +28,7 @@ from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, com
 from tasks.design import N_LINKS
 from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.simulation import simulate
-from tasks.world import ENVIRONMENTS, Physics, ResidualSlush, froude_time
+from tasks.world import Physics, ResidualSlush, environment_kind, froude_time
 from tasks.world.slush import PAPERS_TARGET
 
 
@@ -59,9 +59,10 @@ def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Pa
         PuddleError: the run can't be read, is not of this robot, or is too short.
     """
     output_suffix(out, (".html",))
-    robot = read_kit(kit)
-    if study is not None:
-        robot = _predicted(robot, open_study(study, store, say=to_stderr))
+    recorded = None if study is None else open_study(study, store, say=to_stderr)
+    robot = read_kit(kit, recorded)
+    if recorded is not None:
+        robot = _predicted(robot, recorded)
     paths, lines = _link_paths(source)
     try:
         comparison = compare_with_simulation(robot, paths)
@@ -85,8 +86,8 @@ def _predicted(robot: BuiltRobot, study: Study) -> BuiltRobot:
     return replace(robot, predicted=found.displacement[:, 0] * robot.scale / seconds, predicted_by=by)
 
 
-def read_kit(folder: Path) -> BuiltRobot:
-    """Read a kit's folder. Raises PuddleError if it is none."""
+def read_kit(folder: Path, study: Study | None = None) -> BuiltRobot:
+    """Read a kit's folder; the study has its networks. Raises PuddleError if it is no kit, or they are missing."""
     path = folder / KIT_MANIFEST
     try:
         document = decode_document(path.read_bytes(), schema=KIT.schema, version=KIT.version, source=str(path))
@@ -101,13 +102,16 @@ def read_kit(folder: Path) -> BuiltRobot:
     physics = Physics.model_validate(simulated["physics"])
     time_scale = froude_time(scale) if choices.scaling.law == "froude" else 1.0
     seconds = rollout.n_measure * physics.time_step * time_scale
-    target = ENVIRONMENTS[simulated.get("environment", PAPERS_TARGET)]
+    target = environment_kind(simulated.get("environment", PAPERS_TARGET))
+    if target.learned and study is None:
+        raise PuddleError(f"{folder}: its robot was simulated in {target.label}: expected its study, --study NAME")
+    ensemble = study.ensemble() if study is not None and target.learned else None
     return BuiltRobot(
         name=str(document["name"]),
         design=load_design(folder / "design.json"),
         scale=scale,
         time_scale=time_scale,
-        environment=target.environment(simulated["depth"], simulated["media"]),
+        environment=target.environment(simulated["depth"], simulated["media"], ensemble),
         physics=physics,
         n_settle=rollout.n_settle,
         predicted=None if predicted is None else np.array(predicted, dtype=np.float64) * scale / seconds,

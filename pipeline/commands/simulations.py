@@ -26,7 +26,7 @@ from pipeline.workflow.stage import Execution, Files, MissingInputs
 from tasks.design import Designs
 from tasks.discovery import FAILURES
 from tasks.evolution import OBJECTIVES
-from tasks.residual import ensemble_of_data_set
+from tasks.residual import arm_kind, ensemble_of_data_set
 from tasks.simulation import OK, Rollouts
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, environment_kind
 
@@ -50,17 +50,17 @@ def simulate_design(
     """
     settings, design = options.settings(to_compute=False), load_design(path)
     name = _checked(settings, environment, depth)
-    kind = "" if out is None else output_suffix(out, (*RENDERERS, _PAGE))
+    suffix = "" if out is None else output_suffix(out, (*RENDERERS, _PAGE))
     networks: _Networks = {}
     if environment_kind(name).learned:
         networks = _required_networks(options, settings, name)
-    elif kind == _PAGE:
+    elif suffix == _PAGE:
         networks = _optional_networks(options, settings)
     ensemble = environments.ensemble_of(networks) if networks else None
     at, rollouts = _rolled_out(settings, design, name, depth, ensemble, trace=out is not None)
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is no displacement.")
-    label, n_steps = environment_kind(name).label, settings.rollout.n_measure
+    label, n_steps = arm_kind(name, settings.arm_learners).label, settings.rollout.n_measure
     lines = [f"{label}, {depth:g} m deep, {n_steps * settings.physics.time_step:.0f} s:"]
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, centre of mass {whole:+.3f} m")
@@ -74,15 +74,16 @@ def simulate_design(
     yield from lines
     if out is None:
         return
-    is_page = kind == _PAGE
+    is_page = suffix == _PAGE
     seen, replays = [(name, at, rollouts)], []
     if is_page and networks and (other := _other(settings.target, name, networks)):
         seen.append((other, *_rolled_out(settings, design, other, depth, ensemble, trace=True)))
     for where, there, rolled_out in seen:
-        simulation, shown = environments.simulation_spec(settings, where), ensemble if is_page else None
-        replays.append(replay_in(design, rolled_out, where, there, simulation, title=path.stem, ensemble=shown))
+        kind, shown = arm_kind(where, settings.arm_learners), ensemble if is_page else None
+        simulation = environments.simulation_spec(settings, where)
+        replays.append(replay_in(design, rolled_out, kind, there, simulation, title=path.stem, ensemble=shown))
     first, *beside = (replay for replay in replays if replay)
-    content = RENDERERS[kind]([first]) if kind in RENDERERS else render_robot(first, lines, beside).encode()
+    content = RENDERERS[suffix]([first]) if suffix in RENDERERS else render_robot(first, lines, beside).encode()
     disk.write(out, content)
     yield f"  shown in {out}"
 
@@ -138,7 +139,7 @@ def score_designs(
         )
     table = {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
     table = {"design": np.arange(len(designs)), **table}
-    label, n_diverged = environment_kind(name).label, int(table["diverged"].sum())
+    label, n_diverged = arm_kind(name, settings.arm_learners).label, int(table["diverged"].sum())
     yield f"{label}, {depth:g} m deep: {len(designs)} design{'s' * (len(designs) != 1)}, {n_diverged} diverged"
     finite = table["fitness"][~table["diverged"]]
     if len(finite):
@@ -158,7 +159,7 @@ def score_designs(
 def _checked(settings: Settings, environment: str | None, depth: float) -> EnvironmentName:
     """Return the name of an environment, by default the target; refuse an unknown one, and a depth out of range."""
     environment = settings.target if environment is None else environment
-    known = {name: settings.learner(name) for name in (*ENVIRONMENTS, *settings.learners)}
+    known = {name: settings.learner(name) for name in (*ENVIRONMENTS, settings.target, *settings.learners)}
     names = [name for name, learner in known.items() if learner is None or not learner.is_single]
     if environment not in names:
         mistake = f"--environment: expected one of {', '.join(names)}, got {environment!r}"

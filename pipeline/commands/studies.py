@@ -94,7 +94,7 @@ def champions(study: StudyArgument, store: StorePath = DEFAULT_STORE) -> None:
     to_stdout(
         f"study {opened.name}: champions by zero-shot {objective.label.lower()} in {opened.settings.target_label}",
         f"selected for: {opened.settings.selected_for}",
-        *as_text(scored_by(objective, ScoredTrial), ranked, without=("status",)),
+        *as_text(scored_by(objective, ScoredTrial), ranked, without=("status",), learners=opened.settings.arm_learners),
     )
     if n_without := len(opened.settings.grid.trials()) - len(rows):
         to_stdout(f"\n{n_without} of {len(rows) + n_without} trials have no champion yet, or every design diverged.")

@@ -123,7 +123,7 @@ def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: 
         ),
         f"selected for: {settings.selected_for}",
         *filter(None, [scale_words(settings)]),
-        *as_text(scored_by(objective, TransferRow), rows, TOO_WIDE),
+        *as_text(scored_by(objective, TransferRow), rows, TOO_WIDE, learners=settings.arm_learners),
     )
     page = store.export_path(settings.name) / PAGE
     if page.is_file():

@@ -31,7 +31,7 @@ from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
 from tasks.residual.wetted import acts_above_water
 from tasks.tracks.conventions import Tracks
-from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush, environment_kind, in_order
+from tasks.world import ENVIRONMENTS, TANK_MODEL, EnvironmentName, Medium, Physics, Slush, environment_kind, in_order
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
 
@@ -272,7 +272,7 @@ class Settings(Parameters):
     @model_validator(mode="after")
     def _target_is_an_arm(self) -> Self:
         if self.target != PAPERS_TARGET and "environments" not in self.grid.model_fields_set:
-            arms = (self.target, *self.grid.environments[1:])
+            arms = (*(() if self.learner(self.target) else (self.target,)), *self.grid.environments[1:])
             object.__setattr__(self, "grid", self.grid.model_copy(update={"environments": arms}))
         return self
 
@@ -344,7 +344,7 @@ class Settings(Parameters):
         """Refuse learners that contradict the study's groups, and names of what does not exist."""
         ensembles = [name for name, one in {**BUILT_IN, **self.learners}.items() if one.single is None]
         for name, given in self.learners.items():
-            if name in (*ENVIRONMENTS, *THROWS_GROUPS.values()):
+            if name in (*ENVIRONMENTS, *BUILT_IN, *THROWS_GROUPS.values()):
                 raise ValueError(f"learners.{name}: the name is taken: expected one of its own, got {name!r}")
             if not stated(given):
                 what = ", ".join(LearnerSettings.model_fields)
@@ -365,8 +365,10 @@ class Settings(Parameters):
                 raise ValueError(f"learners.{name}, with the study's groups: {said}") from None
         known = (*ENVIRONMENTS, *self.learners)
         media = [name for name, kind in ENVIRONMENTS.items() if kind.has_one_medium]
+        simulated = {name: one for name, one in self.arm_learners.items() if one.throws.source != "tracks"}
+        targets = media if simulated else [*media, TANK_MODEL.name]  # a medium, if links are thrown into it
         for place, names, allowed in (
-            ("target", (self.target,), media),
+            ("target", (self.target,), targets),
             ("grid.environments", self.grid.environments, known),
             ("transfer.adapted_environments", self.transfer.adapted_environments, known),
             ("evolution.objective", (self.evolution.objective,), tuple(OBJECTIVES)),
@@ -374,9 +376,9 @@ class Settings(Parameters):
         ):
             for name in names:
                 if name not in allowed:
-                    one_medium = "an environment of one medium, " if allowed is media else ""
+                    one_medium = "an environment of one medium, " if allowed is targets else ""
                     raise ValueError(f"{place}: expected {one_medium}any of {', '.join(allowed)}, got {name!r}")
-        wetted = [name for name, learner in self.arm_learners.items() if learner.network.form == "wetted"]
+        wetted = [name for name, learner in simulated.items() if learner.network.form == "wetted"]
         if wetted and self.target_medium and acts_above_water(self.target_medium, self.physics):
             raise ValueError(
                 f"network.form is wetted for {', '.join(wetted)}, but {self.target_label} acts above y = 0, where such "
@@ -426,9 +428,9 @@ class Settings(Parameters):
 
     @property
     def target_medium(self) -> Medium | None:
-        """The target's medium, with its settings."""
-        groups = {group: getattr(self, group) for group in settings_groups()}
-        return ENVIRONMENTS[self.target].environment(0.0, groups).medium
+        """The target's medium, with its settings; None if it is learned."""
+        groups, kind = {group: getattr(self, group) for group in settings_groups()}, environment_kind(self.target)
+        return None if kind.learned else kind.environment(0.0, groups).medium
 
     @property
     def has_papers_target(self) -> bool:
@@ -459,8 +461,8 @@ class Settings(Parameters):
 
     @property
     def arm_learners(self) -> dict[EnvironmentName, Learner]:
-        """The learners that are arms, in the order of listings."""
-        names = in_order(environment for environment, _, _ in self.grid.trials())
+        """The learners that are arms or the target, in the order of listings."""
+        names = in_order([self.target, *(environment for environment, _, _ in self.grid.trials())])
         return {name: learner for name in names if (learner := self.learner(name))}
 
     @property
@@ -486,5 +488,5 @@ class RecordedSettings(Settings, extra="allow"):
     def missing(self) -> list[str]:
         """Names of what has settings or is used, and has no code."""
         names = {*(self.model_extra or {}), *(self.evolution.model_extra or {})}
-        names |= {self.target, *self.grid.environments} - {*ENVIRONMENTS, *self.learners}
+        names |= {self.target, *self.grid.environments} - {*ENVIRONMENTS, TANK_MODEL.name, *self.learners}
         return sorted(names | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})

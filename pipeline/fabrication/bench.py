@@ -114,7 +114,7 @@ def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | None:
     design, rollout = source.design, source.settings.rollout
     target = source.settings.target
     media = environments.media_of(source.settings, target)
-    environment = environments.build_environment(media, target, source.depth, {})
+    environment = environments.build_environment(media, target, source.depth, source.networks)
     rollouts = simulate(design, environment, engine="reference", trace=True, physics=physics, **rollout.model_dump())
     if rollouts.status[0] != OK or rollouts.trace is None or rollouts.motor_torque is None:
         return None

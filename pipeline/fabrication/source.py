@@ -1,6 +1,7 @@
 """The source of a kit's design: a file, or the champion of a study that the paper's rule selects."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,14 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import Study
+from pipeline.stages import environments
+from pipeline.stages.data_sets import NetworkId, networks_of
 from pipeline.store.design_file import load_design
-from pipeline.workflow.stage import MissingInputs
+from pipeline.workflow.identity import TrialId
+from pipeline.workflow.stage import Files, MissingInputs
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
+from tasks.residual import arm_kind
 from tasks.simulation import OK
 from tasks.world import EnvironmentName, in_order
 
@@ -29,6 +34,7 @@ class DesignSource:
     depth: float  # depth of the slush in the simulation [m]
     predicted: tuple[float, ...] | None
     """(n_members) displacements that the study's ensemble predicts [m of simulation], if there is one."""
+    networks: Mapping[NetworkId, Files] = field(default_factory=dict)  # of a learned target
 
     @property
     def environment(self) -> str:
@@ -67,13 +73,16 @@ def proposed(study: Study) -> DesignSource:
     chosen = nearest_the_mean(zero_shot) or 0  # there is one, because all scores are finite
     trial = rows[chosen].trial
     design = study.champion(environment, depth=depth, trial=trial)
+    evolved = arm_kind(environment, study.settings.arm_learners).evolved
     origin = (
-        f"Champion of trial {trial} of study {study.name}, evolved in {environment.replace('_', ' ')} at {depth:g} m. "
+        f"Champion of trial {trial} of study {study.name}, evolved {evolved} at {depth:g} m. "
         f"It scores {zero_shot[chosen]:+.2f} {unit} in {study.settings.target_label}, nearest to the mean of "
         f"{len(rows)} champions, {zero_shot.mean():+.2f} {unit}."
     )
     name, predicted = f"{study.name}-trial-{trial}", _predictions(study, design, environment, depth, trial)
-    return DesignSource(design, name, origin, study.settings, depth, predicted)
+    transferred, target = TrialId("transfer", environment, depth, trial), study.settings.learner(study.settings.target)
+    networks = environments.read_networks(networks_of(transferred, target), study.upstream, study.store)
+    return DesignSource(design, name, origin, study.settings, depth, predicted, networks)
 
 
 def _ensembles(study: Study) -> list[EnvironmentName]:

@@ -19,6 +19,7 @@ from tasks.analysis.estimates import Estimate
 from tasks.analysis.registry import Assessed
 from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemble_name
 from tasks.arrays import Float64, Int64
+from tasks.residual import NO_LEARNERS, Learner
 
 _DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
 """Opacity grows with the number of designs."""
@@ -70,7 +71,12 @@ def _paths(panel: Any, throws: ThrowPaths, chosen: Int64, color: str) -> None:
     panel.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=INK, linewidths=0.9))
 
 
-def prediction_accuracy(assessed: Mapping[str, Assessed], regressions: Sequence[Regression], target: str) -> Figure:
+def prediction_accuracy(
+    assessed: Mapping[str, Assessed],
+    regressions: Sequence[Regression],
+    target: str,
+    learners: Mapping[str, Learner] = NO_LEARNERS,
+) -> Figure:
     """Draw a 2-D histogram with regression and ideal lines for the mean of each ensemble.
 
     The square spans 99.8 % of all displacements, so that a single extreme prediction does not stretch it.
@@ -97,7 +103,7 @@ def prediction_accuracy(assessed: Mapping[str, Assessed], regressions: Sequence[
         # Not exactly square: Matplotlib leaves no room for the labels of a figure whose panels keep their proportions.
         panel.imshow(seen, origin="lower", extent=(low, high, low, high), aspect="auto", **looks)
         panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=DASHED)
-        title = [ensemble_name(group)]
+        title = [ensemble_name(group, learners)]
         for name, symbol, dashes in ((MEAN, "μ", "-"), (CAUTIOUS, "μ − σ", DOTTED)):
             fit = fits[group, name]
             if fit.slope.value is not None and fit.intercept.value is not None:

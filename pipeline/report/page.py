@@ -26,7 +26,7 @@ from pipeline.report.transfer_figures import Curves
 from tasks.analysis import paper
 from tasks.analysis.registry import Analysis, Assessed, percent, scored_by
 from tasks.analysis.tables import ANALYSES
-from tasks.world import environment_kind
+from tasks.residual import arm_kind
 
 _POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
 _SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
@@ -52,7 +52,8 @@ class StudyPage:
     @property
     def looks(self) -> dict[str, Look]:
         """How the arms are drawn."""
-        return looks_of(environment for environment, _, _ in self.settings.grid.trials())
+        arms = (environment for environment, _, _ in self.settings.grid.trials())
+        return looks_of(arms, self.settings.target, self.settings.arm_learners)
 
     @property
     def target(self) -> str:
@@ -118,7 +119,9 @@ FIGURES: Mapping[str, PageFigure] = {
         "Displacement in {target} against the ensemble’s mean prediction, for designs of whole runs. Darker cells "
         "hold more of them. A slope m below 1 means that the networks overestimate how far robots get; the dotted line "
         "is for μ − σ.",
-        lambda page: network_figures.prediction_accuracy(page.assessed, page.rows("regressions"), page.target),
+        lambda page: network_figures.prediction_accuracy(
+            page.assessed, page.rows("regressions"), page.target, page.settings.arm_learners
+        ),
     ),
     "data_set": PageFigure(
         "The throws",
@@ -144,12 +147,12 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
     settings = page.settings
     objective = settings.evolution.maximised
     depth = max((row.depth for row in page.rows("transfer") if row.zero_shot.value is not None), default=None)
-    known = {replay.robot for replay in page.replays}
+    known, learners = {replay.robot for replay in page.replays}, settings.arm_learners
 
     def html(one: Analysis, rows: Sequence[Any], depth: float | None) -> Markup:
         without = ("depth",) if depth is not None else ()
-        kind = scored_by(objective, one.row)
-        return as_html(kind, rows, one.answers, address=partial(_address, known), without=without)
+        kind, address = scored_by(objective, one.row), partial(_address, known)
+        return as_html(kind, rows, one.answers, address=address, without=without, learners=learners)
 
     body = TEMPLATES.get_template("page.html").render(
         page=page,
@@ -157,9 +160,9 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         scale=scale_words(settings),
         depth=depth,
         deepest=[row for row in page.rows("transfer") if row.depth == depth and row.zero_shot.value is not None],
-        singles={name for name, learner in settings.arm_learners.items() if learner.is_single},
-        kind_of=environment_kind,
-        arms=[environment_kind(name) for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
+        singles={name for name, learner in learners.items() if learner.is_single},
+        kind_of=partial(arm_kind, learners=learners),
+        arms=[arm_kind(name, learners) for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
         objective=None if objective.is_papers else objective.with_unit(settings.selected_for),
         score=objective.label.lower(),
         unit=objective.unit,

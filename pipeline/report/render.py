@@ -10,6 +10,7 @@ import textwrap
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from html import escape
 from itertools import zip_longest
 from typing import Any
@@ -19,9 +20,11 @@ from markupsafe import Markup
 from pipeline.store.tables import columns_of, csv_of, described, text
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.estimates import Estimate, Mean
-from tasks.analysis.registry import scored_by
+from tasks.analysis.registry import environment_name, scored_by
 from tasks.analysis.tables import ANALYSES
+from tasks.analysis.tables.regressions import ensemble_name
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
+from tasks.residual import NO_LEARNERS, Learner
 
 _MOST_ROWS_OF_CSV = 20_000  # that a spreadsheet opens at once
 
@@ -58,17 +61,21 @@ class Written:
         return all(re.match(r"[−+<±\d–]", row[column].main) for row in self.rows)
 
 
-def written(kind: type, rows: Sequence[Any], without: Sequence[str] = ()) -> Written:
-    """Write the columns that readers see, without some that are said elsewhere."""
+def written(
+    kind: type, rows: Sequence[Any], without: Sequence[str] = (), learners: Mapping[str, Learner] = NO_LEARNERS
+) -> Written:
+    """Write the columns that readers of a study with these learners see, without some that are said elsewhere."""
     shown = [one for one in fields(kind) if one.metadata["shown"] and one.name not in without]
     shown = [one for one in shown if not all(_is_absent(getattr(row, one.name)) for row in rows)]
     units = [one.metadata["unit"] for one in shown]
+    forms = [one.metadata["form"] for one in shown]
+    forms = [partial(form, learners=learners) if form in (environment_name, ensemble_name) else form for form in forms]
     labels = [one.metadata["label"] for one in shown]
     return Written(
         [one.name for one in shown],
         [f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)],
         [one.metadata["meaning"] for one in shown],
-        [[_cell(getattr(row, one.name), one.metadata["form"]) for one in shown] for row in rows],
+        [[_cell(getattr(row, one.name), form) for one, form in zip(shown, forms, strict=True)] for row in rows],
     )
 
 
@@ -107,6 +114,7 @@ def as_html(
     *,
     address: Callable[[Any], str] = lambda row: "",
     without: Sequence[str] = (),
+    learners: Mapping[str, Learner] = NO_LEARNERS,
 ) -> Markup:
     """Return a table that scrolls sideways on a narrow page, or one of verdicts, whose rows become cards there.
 
@@ -116,8 +124,9 @@ def as_html(
         label: name of the table for screen readers.
         address: returns where on the page a row's robot is; "" if nowhere.
         without: fields that are said elsewhere.
+        learners: those of the study, by which arms are called.
     """
-    table = written(kind, rows, without)
+    table = written(kind, rows, without, learners)
     numbers = [table.is_number(column) for column in range(len(table.names))]
     head = "".join(
         f'<th{"" if number else " class=words"} title="{escape(meaning)}">{escape(heading)}</th>'
@@ -142,9 +151,16 @@ def as_html(
     return Markup(f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">{content}</div>')
 
 
-def as_text(kind: type, rows: Sequence[Any], without: Sequence[str] = (), *, width: int = _WIDTH) -> list[str]:
+def as_text(
+    kind: type,
+    rows: Sequence[Any],
+    without: Sequence[str] = (),
+    *,
+    width: int = _WIDTH,
+    learners: Mapping[str, Learner] = NO_LEARNERS,
+) -> list[str]:
     """Return lines for a terminal of a width [characters], with words wrapped and numbers aligned to the right."""
-    table = written(kind, rows, without)
+    table = written(kind, rows, without, learners)
     for most in _MOST_CHARACTERS:
         columns = [_laid_out(table, column, most) for column in range(len(table.names))]
         if sum(len(column[0][0]) + 2 for column in columns) <= width + 2:
@@ -174,9 +190,9 @@ def as_markdown(kind: type, rows: Sequence[Any]) -> str:
     return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
 
 
-def as_latex(kind: type, rows: Sequence[Any], caption: str) -> str:
+def as_latex(kind: type, rows: Sequence[Any], caption: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> str:
     """Return a ``tabular``, which a paper reads with the command input; it needs the package booktabs."""
-    table = written(kind, rows)
+    table = written(kind, rows, learners=learners)
     aligned = "".join("r" if table.is_number(column) else "l" for column in range(len(table.names)))
     lines = [_latex_row(table.headings), "\\midrule", *(_latex_row([cell.text for cell in row]) for row in table.rows)]
     meanings = [f"% {name}: {meaning}" for name, meaning in zip(table.headings, table.meanings, strict=True) if meaning]

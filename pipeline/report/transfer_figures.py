@@ -28,7 +28,6 @@ from tasks.analysis.tables.elites import Elite
 from tasks.analysis.tables.transfer import TransferRow
 from tasks.arrays import Float64
 from tasks.evolution.map_elites import MEASURES, MapElites
-from tasks.world import environment_kind
 
 _CURVE_POINTS = 120  # generations drawn per fitness curve
 _MOST_DEPTHS = 4  # panels of fitness curves, and depths that fit into a panel of half the width
@@ -66,7 +65,7 @@ def transfer_at_depth(
                 axes.plot([center + 0.34, center + 0.56], [stated] * 2, color=PAPER_MARK, lw=2.5)
             centers.append(center)
             center += 1.0
-        ticks[environment_kind(row.environment).label.replace(" ", "\n")] = float(np.mean(centers))
+        ticks[look.label.replace(" ", "\n")] = float(np.mean(centers))
         center += 0.45
     axes.axhline(0, color=INK, lw=0.8)
     axes.set_xticks(list(ticks.values()), list(ticks), fontsize="small" if len(ticks) <= 6 else "x-small")
@@ -110,7 +109,7 @@ def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look
     figure.supxlabel("depth [m]")
     figure.supylabel(label)
     handles = [
-        Line2D([], [], color=looks[name].color, marker=looks[name].marker, ms=5, label=environment_kind(name).label)
+        Line2D([], [], color=looks[name].color, marker=looks[name].marker, ms=5, label=looks[name].label)
         for name in present
     ]
     legend(figure, handles, n_columns=3 if len(handles) <= 6 else 2, above=True)  # below it would hide the label
@@ -139,7 +138,7 @@ def fitness_curves(curves: Curves, label: str, looks: Mapping[str, Look]) -> Fig
     panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     figure.supxlabel("generation")
     figure.supylabel(label)
-    handles = [Line2D([], [], color=looks[name].color, label=environment_kind(name).label) for name in present]
+    handles = [Line2D([], [], color=looks[name].color, label=looks[name].label) for name in present]
     legend(figure, handles, n_columns=2, above=True)
     return figure
 
@@ -176,7 +175,7 @@ def elites(rows: Sequence[Elite], evolution: EvolutionSettings, looks: Mapping[s
         image = panel.imshow(
             best, origin="lower", extent=(left, right, bottom, top), aspect="auto", vmin=low, vmax=high
         )
-        panel.set_title(f"{environment_kind(name).label}, {depth:g} m")
+        panel.set_title(f"{looks[name].label}, {depth:g} m")
     figure.supxlabel("body length at rest [m]")
     figure.supylabel("body size: sum of links [m]")
     figure.colorbar(image, ax=list(panels), label=evolution.maximised.with_unit("fitness"))

@@ -86,7 +86,8 @@ def export_study(study: Study, out: Path, *, tables: Sequence[str] | None = None
         results = json.dumps(results_of(study, page), indent=1, ensure_ascii=False)
         folder.write("results.json", results.encode() + b"\n")
         kind, rows = scored_by(study.settings.evolution.maximised, TransferRow), page.rows("transfer")
-        folder.write("transfer.tex", as_latex(kind, rows, f"Transfer results of study {study.name}.").encode())
+        caption, learners = f"Transfer results of study {study.name}.", study.settings.arm_learners
+        folder.write("transfer.tex", as_latex(kind, rows, caption, learners).encode())
         n_champions = _write_champions(study, folder, mjcf)
         n_rows = _write_tables(study, chosen, folder)
         drawings = draw_all(page)

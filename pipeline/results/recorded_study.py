@@ -230,9 +230,9 @@ class Study:
         environment = self.settings.target if environment is None else environment
         depth = max(self.settings.grid.depths) if depth is None else depth
         learner = self.settings.learner(environment)
-        if learner is not None:
+        if learner is not None and environment != self.settings.target:
             self._check({"environment": environment, "trial": trial})
-        elif environment not in ENVIRONMENTS:
+        elif environment not in (*ENVIRONMENTS, self.settings.target):
             known = ", ".join((*ENVIRONMENTS, *self.settings.learners))
             raise PuddleError(f"study {self.name}: environment: expected one of {known}, got {environment!r}")
         own = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)

@@ -6,11 +6,12 @@ Each work item is one analysis, of the whole study or of one arm, and its file i
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
 from pipeline.config.settings import Settings
+from pipeline.report.page import scale_words
 from pipeline.report.render import as_text, tables_of
 from pipeline.stages import environments
 from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
@@ -60,7 +61,8 @@ def applies(one: Analysis, settings: Settings) -> bool:
     networks = settings.needs_ensemble or not {"collect", "train"} & set(one.reads)
     papers = (settings.has_papers_target and settings.evolution.maximised.is_papers) or one.section != "paper"
     searched = one.search in (None, settings.evolution.search)
-    return networks and papers and searched and (settings.tank is not None or not one.needs_tank)
+    true = one.section != "trust" or settings.learner(settings.target) is None  # else there is none
+    return networks and papers and true and searched and (settings.tank is not None or not one.needs_tank)
 
 
 def _item(
@@ -86,25 +88,32 @@ def read_columns(files: Files, one: Analysis) -> Columns:
     return decode_table(files[file], schema=one.name, version=one.version, source=file)
 
 
-def read_tables(done: Mapping[OutputId, Files]) -> dict[str, list[Any]]:
-    """Return the rows of every analysis whose code is here, joined over its work items."""
+def read_tables(done: Mapping[OutputId, Files], settings: Settings) -> dict[str, list[Any]]:
+    """Return the rows of every analysis whose code is here, joined over its work items.
+
+    At a small scale of evolution, metres cannot tell whether a study agrees with the paper.
+    """
     tables: dict[str, list[Any]] = {}
     for part, files in done.items():
         if one := ANALYSES.get(part.name):
             tables.setdefault(part.name, []).extend(rows_of(one.row, read_columns(files, one)))
+    if scale_words(settings):
+        found = tables.get("paper", ())
+        tables["paper"] = [replace(row, verdict="cannot tell") if row.is_metres else row for row in found]
     return tables
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Count how many statements of the paper agree; offer every table of readable size as CSV."""
     files = {part: {name: store.read(done, name) for name in done.files} for part, (done,) in results.done.items()}
-    tables = read_tables({part: own for part, own in files.items() if isinstance(part, OutputId)})
+    tables = read_tables({part: own for part, own in files.items() if isinstance(part, OutputId)}, settings)
     lines, metrics = list[str](), dict[str, float | None]()
     for name, rows in ((name, rows) for name, rows in tables.items() if rows):
         one = ANALYSES[name]
         metrics |= one.metrics(rows)
         if one.section == "tank":
-            lines += ["", one.answers, *as_text(one.row, [row for row in rows if one.shown(row)])]
+            shown = [row for row in rows if one.shown(row)]
+            lines += ["", one.answers, *as_text(one.row, shown, learners=settings.arm_learners)]
         elif one.section == "paper":
             counts = Counter(row.verdict for row in rows)
             told = ", ".join(f"{counts[verdict]} × {verdict}" for verdict in VERDICTS)

@@ -84,7 +84,7 @@ def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
         for trial in trials_of(settings, "assess")
         if trial.environment in (settings.target, "dry_land") and trial.depth == settings.assessed_depth
     ]
-    if not trials or not settings.needs_ensemble:
+    if not trials or not settings.needs_ensemble or settings.learner(settings.target):
         return []
     simulation = environments.simulation_spec(settings, settings.target)
     groups = tuple(settings.ensembles)

@@ -25,7 +25,7 @@ from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, e
 from tasks.world.medium import MediumError
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
-MEMBER = "member"  # role of the inputs that are networks
+MEMBER, OF_TARGET = "member", "target-member"  # roles of the inputs that are networks, and those of a learned target
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 _CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land
 
@@ -85,14 +85,15 @@ def ensemble_of(networks: Mapping[NetworkId, Files]) -> EnsembleMedium:
     return Ensemble.from_members(members)
 
 
-def network_inputs(networks: Iterable[NetworkId], upstream: Upstream) -> Sources:
+def network_inputs(networks: Iterable[NetworkId], upstream: Upstream, role: str = MEMBER) -> Sources:
     """Return networks as inputs; raise MissingInputs if one is not trained."""
-    return {InputName(MEMBER, one): Input(upstream["train"].chain(one)[-1], (WEIGHTS,)) for one in networks}
+    return {InputName(role, one): Input(upstream["train"].chain(one)[-1], (WEIGHTS,)) for one in networks}
 
 
-def networks_among(inputs: Inputs) -> dict[NetworkId, Files]:
+def networks_among(inputs: Inputs, role: str = MEMBER) -> dict[NetworkId, Files]:
     """Select the networks among an item's inputs."""
-    return {name.chain: files for name, files in inputs.items() if isinstance(name.chain, NetworkId)}
+    named = ((name.chain, files) for name, files in inputs.items() if name.role == role)
+    return {network: files for network, files in named if isinstance(network, NetworkId)}
 
 
 def read_networks(networks: Iterable[NetworkId], upstream: Upstream, store: Store) -> dict[NetworkId, Files]:

@@ -15,8 +15,10 @@ from tasks.analysis.scores import Champion
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.evolution.map_elites import CELL, measure_bodies
+from tasks.residual import arm_kind
 from tasks.simulation import Rollouts
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, environment_kind
+from tasks.world.registry import EnvironmentKind
 
 
 def replays_of(study: StudyFiles) -> list[Replay]:
@@ -100,11 +102,13 @@ def _replay(
     environment: Environment,
     ensemble: EnsembleMedium | None,
 ) -> Replay | None:
-    label = environment_kind(champion.environment).label
+    learners, arms = study.settings.learners, (trial.environment for trial in study.spec.trials)
+    looks = looks_of(arms, study.target, learners)
+    label = looks[champion.environment].label
     replay = replay_in(
         champion.design,
         study.simulate(environment, champion.design, trace=True),
-        seen_in,
+        arm_kind(seen_in, learners),
         environment,
         study.spec.simulation,
         title=f"{label}, trial {champion.trial}",
@@ -116,7 +120,7 @@ def _replay(
     return replace(
         replay,
         environment=champion.environment,
-        color=looks_of(trial.environment for trial in study.spec.trials)[champion.environment].color,
+        color=looks[champion.environment].color,
         robot=_address(champion),
         group=f"{label}, {champion.depth:g} m",
         in_target=seen_in == study.target,
@@ -127,7 +131,7 @@ def _replay(
 def replay_in(
     design: Designs,
     rollouts: Rollouts,
-    name: EnvironmentName,
+    kind: EnvironmentKind,
     environment: Environment,
     simulation: SimulationSpec,
     *,
@@ -140,7 +144,7 @@ def replay_in(
     Args:
         design: a single design.
         rollouts: its simulation there, with a trace.
-        name: name of the environment.
+        kind: what readers know of the environment.
         environment: the environment.
         simulation: settings of the simulation.
         title: heading.
@@ -148,7 +152,7 @@ def replay_in(
         number: of the network in its data set, where it is not its place in the ensemble.
     """
     assert rollouts.trace is not None
-    kind, physics, n_settle = environment_kind(name), simulation.physics, simulation.rollout.n_settle
+    physics, n_settle = simulation.physics, simulation.rollout.n_settle
     member = median_member(rollouts.displacement[:, 0]) if environment.is_ensemble else None
     trace = rollouts.trace if member is None else rollouts.trace[member]
     if not np.isfinite(trace).all():
@@ -167,7 +171,7 @@ def replay_in(
         n_settle=n_settle,
         time_step=physics.time_step,
     )
-    return replace(replay, command=name if member is None or number is None else "", disagreement=doubts)
+    return replace(replay, command=kind.name if member is None or number is None else "", disagreement=doubts)
 
 
 def median_member(values: Float64) -> int:

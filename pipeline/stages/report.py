@@ -182,10 +182,10 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
 def _study_page(spec: PageItemSpec, inputs: Inputs, study: StudyFiles) -> StudyPage:
     settings, evolved = spec.settings, _curves(EVOLUTION, inputs)
     analysed = {name.chain: files for name, files in inputs.items() if name.role == ANALYSED}
-    tables = read_tables({part: files for part, files in analysed.items() if isinstance(part, OutputId)})
+    done = {part: files for part, files in analysed.items() if isinstance(part, OutputId)}
     return StudyPage(
         settings=settings,
-        tables=tables,
+        tables=read_tables(done, settings),
         curves=_by_arm(evolved),
         assessed={group: one for group in settings.ensembles if (one := study.assessed(group)) is not None},
         throws=_throws(inputs),
@@ -287,7 +287,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
 
 REPORT = Stage(
     name="report",
-    version=20,
+    version=21,
     unit="pictures",
     reads=_reads,
     plan=_plan,

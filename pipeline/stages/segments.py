@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
+from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.environments import FitnessSpec, SimulationSpec, networks_among
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
@@ -61,10 +62,9 @@ class TrialSpec:
         """What its designs are selected for."""
         return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths, self.deviation)
 
-    def at_home(self, inputs: Inputs) -> Environment:
+    def at_home(self, networks: Mapping[NetworkId, Files]) -> Environment:
         """Build the environment where designs are simulated."""
-        media = self.simulation.media
-        return environments.build_environment(media, self.environment, self.identity.depth, networks_among(inputs))
+        return environments.build_environment(self.simulation.media, self.environment, self.identity.depth, networks)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
     ):
         raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
     trials = [_trial(item.spec.trial, item_inputs) for item, item_inputs in zip(items, inputs, strict=True)]
-    environment = spec.trial.at_home(inputs[0])
+    environment = spec.trial.at_home(networks_among(inputs[0]))
     search, objective = spec.trial.afpo, spec.trial.objective
     of_history = {**history_units(search, objective), **{gene.name: gene.unit for gene in GENES}}
     of_curve = curve_units(search, OBJECTIVES[objective].unit)

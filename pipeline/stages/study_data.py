@@ -90,9 +90,11 @@ def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[s
     if "assess" in reads:  # in the order of their labels: resampling depends on the order of designs
         for assessed, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, assessed)] = Input(share, (PREDICTIONS,))
-    if "train" in reads:
+    target = settings.learner(settings.target)
+    if "train" in reads or target:
         learners, known = settings.arm_learners, data_sets(settings)
         served = {data_set_of(trial, learners.get(trial.environment), known[0].group) for trial in trials}
+        served |= {DataSetId(target.data_set, 0)} if target else set()
         listed = [data_set for data_set in known if data_set in served]
         members = [network for data_set in listed for network in ensemble_ids(settings, data_set)]
         own = [network for trial in trials for network in networks_of(trial, learners.get(trial.environment))]
@@ -169,7 +171,9 @@ class StudyFiles:
         return is_papers and self.target == PAPERS_TARGET and isinstance(slush, Slush) and slush.is_papers
 
     def at_target(self, depth: float) -> Environment:
-        return environments.build_environment(self.spec.simulation.media, self.target, depth, {})
+        target = self.settings.learners.get(self.target)
+        networks = self._members(DataSetId(target.data_set, 0)) if target else {}
+        return environments.build_environment(self.spec.simulation.media, self.target, depth, networks)
 
     def home(self, champion: Champion) -> Environment:
         """Return where a champion evolved."""

@@ -22,6 +22,7 @@ from tasks.tracks.bars import TrackedBarError
 from tasks.tracks.free_fall import Fall, falls_oddly
 from tasks.tracks.residuals import TrackReport, check_throws
 from tasks.tracks.table import Paths, length_scale_of, time_scale_of
+from tasks.world import TANK_MODEL
 
 TRACK_REPORT = "tracks.json"  # what the tracks are like
 TRACKED, BARS = InputName("tracks"), InputName("bars")
@@ -64,7 +65,13 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
         "throws": settings.throws.model_copy(update={"source": "tracks", "n_throws": max(len(numbers), 2)}),
     }
     try:
-        return Settings.model_validate(settings.model_copy(update=changes).model_dump())
+        given = settings.model_copy(update=changes).model_dump(exclude_unset=True)
+        recorded = settings.tracks is not None and settings.tracks.sha256 is not None
+        arms = given.get("grid", {}).get("environments", ())
+        asked = "target" in settings.model_fields_set or settings.target in arms
+        if not (recorded or asked):
+            given["target"] = TANK_MODEL.name
+        return Settings.model_validate(given)
     except ValidationError as error:
         raise PuddleError("; ".join(found["msg"].removeprefix("Value error, ") for found in error.errors())) from None
 

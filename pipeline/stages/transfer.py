@@ -76,8 +76,10 @@ def _item(
 ) -> Item[TransferSpec]:
     evolved = upstream["evolve"].chain(chain.spec.identity.in_stage("evolve"))[-1]
     inputs: Sources = {CHAMPION_OF: Input(evolved, (POPULATION,))}
+    in_target = networks_of(chain.spec.identity, settings.learner(settings.target))
     spec: TransferSpec
     if index < chain.n_items - 1:
+        inputs |= environments.network_inputs(in_target, upstream)
         label, spec = f"{chain.label}/adaptation-{index}", segments.segment_of(chain, index)
         inputs |= segments.before_input(previous)
     else:
@@ -87,6 +89,7 @@ def _item(
         label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation, chain.spec.objective)
         networks = networks_of(trial, settings.learner(trial.environment))
         inputs |= environments.network_inputs(networks, upstream)
+        inputs |= environments.network_inputs(in_target, upstream, environments.OF_TARGET)
         if previous is not None:
             inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
     execution = environments.execution_options(settings, settings.target)
@@ -123,24 +126,26 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     for suffix, (values,) in {"": evaluation.displacement, "_score": evaluation.scores}.items():
         found[f"predicted{suffix}"] = float(values.mean())
         found[f"predicted_sd{suffix}"] = float(disagreement(values[None], spec.deviation)[0]) if has_sd else None
-    found |= _in_target("zero_shot", spec, execution, champion)
+    found |= _in_target("zero_shot", spec, execution, champion, inputs)
     if _ADAPTED_TO in inputs:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
             files[ADAPTED] = design_json(adapted)
-            found |= _in_target("adapted", spec, execution, adapted)
+            found |= _in_target("adapted", spec, execution, adapted, inputs)
     if OBJECTIVES[spec.objective].is_papers:
         found = {name: value for name, value in found.items() if not name.endswith("_score")}
     return {**files, SCORE: encode_scores(TrialScores(float(evolved.fitness[evolved.champion()]), **found))}
 
 
-def _in_target(quantity: str, spec: ScoreSpec, execution: Execution, design: Designs) -> dict[str, float]:
+def _in_target(
+    quantity: str, spec: ScoreSpec, execution: Execution, design: Designs, inputs: Inputs
+) -> dict[str, float]:
     """Return what :class:`TrialScores` says of a design in the target; NaN where it diverged.
 
     The trial is an adaptation, so that its environment is the target.
     """
-    trial = spec.trial
-    found = environments.evaluate_designs(design, trial.simulation, execution, trial.at_home({}), trial.fitness)
+    trial, target = spec.trial, spec.trial.at_home(environments.networks_among(inputs, environments.OF_TARGET))
+    found = environments.evaluate_designs(design, trial.simulation, execution, target, trial.fitness)
     values = {"": found.displacement, "_com": found.com_displacement, "_score": found.scores}
     return {f"{quantity}{suffix}": float(value[0, 0]) for suffix, value in values.items()}
 
@@ -167,7 +172,8 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     }
     trials = [_summarise_trial(store, trial, done) for trial, done in results.done.items()]
     metrics["n_diverged"] = sum(trial.metrics.get(_ADAPTED_DIVERGED, 0.0) for trial in trials)
-    return Summary(as_text(scored_by(settings.evolution.maximised, TransferRow), rows, TOO_WIDE), metrics)
+    kind = scored_by(settings.evolution.maximised, TransferRow)
+    return Summary(as_text(kind, rows, TOO_WIDE, learners=settings.arm_learners), metrics)
 
 
 def _curves(store: Store, part: Manifest) -> CurvePoints:

@@ -97,6 +97,9 @@ class Tracker:
             runs[slot] = self._client.create_run(self._experiment, run_name=wanted.name, tags=tags)
         run = runs[slot]
         name = str(run.info.run_id)
+        if wanted.note:
+            at = f"#/experiments/{self._experiment}/runs/{name}/artifacts"
+            tags["mlflow.note.content"] = wanted.note.format(artifacts=at)
         changed = self._send_values(run, wanted, {**tags, **wanted.tags})
         changed |= self._send_files(run, wanted.artifacts)
         if wanted.status is not None and run.info.status != wanted.status:

@@ -31,6 +31,7 @@ class Run:
     metrics: Mapping[str, float] = field(default_factory=dict)  # MLflow cannot store infinities and NaN
     curves: Sequence[CurvePart] = ()  # metrics by generation
     tags: Mapping[str, str] = field(default_factory=dict)  # further text to search by
+    note: str = ""  # description in Markdown, with {artifacts} for the address of the run's
     artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files to open from the UI, by path
     status: Literal["FINISHED", "FAILED"] | None = None
     """None for a run that has not ended; MLflow keeps the status of one that has."""

@@ -22,7 +22,7 @@ from pipeline.tracking.database import (
 
 _VIEW = "puddle"  # name of the shared view that the list of studies opens with
 _STUDIES = "tags.`puddle.kind` = 'study'"
-_HEADLINE, _MOST_HEADLINES = "ratio_to_target.zero_shot.", 2  # more would push the presets off the screen
+_HEADLINES, _MOST_HEADLINES = ("m.", "share."), 4  # more would push the presets off the screen
 
 
 def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None = None) -> None:
@@ -46,7 +46,8 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
         client = open_client(store, uri)
         experiment = experiment_id(client)
         if experiment is not None:
-            client.set_experiment_tag(experiment, f"mlflow.sharedViewState.{_VIEW}", _view(client, experiment))
+            view = _trials(client, experiment, study) if study else _view(client, experiment)
+            client.set_experiment_tag(experiment, f"mlflow.sharedViewState.{_view_name(study)}", json.dumps(view))
         if study and not (experiment and client.search_runs([experiment], f"tags.study = '{study}'", max_results=1)):
             raise PuddleError(
                 f"{without_password(uri or str(store))}: MLflow has no runs of a study {study!r}; "
@@ -77,20 +78,33 @@ def runs_page(server: str, experiment: str | None, study: str | None = None) -> 
         experiment: ID of the experiment; None if there is none yet.
         study: name of the study whose runs are shown; by default the studies alone.
     """
-    shown = {"viewStateShareKey": _VIEW} if study is None else {"searchFilter": f"tags.study = '{study}'"}
-    query = urllib.parse.urlencode({"workflowType": "machine_learning", **shown}, quote_via=urllib.parse.quote)
+    query = f"workflowType=machine_learning&viewStateShareKey={_view_name(study)}"
     page = "experiments" if experiment is None else f"experiments/{experiment}/runs"
     return f"{server}/#/{page}?{query}"
 
 
-def _view(client: Any, experiment: str) -> str:
+def _view_name(study: str | None) -> str:
+    return _VIEW if study is None else f"{_VIEW}-{study}"
+
+
+def _trials(client: Any, experiment: str, study: str) -> dict[str, Any]:
+    """Return MLflow's list of the trials of a study as it is shared: where they evolved, and how far they get."""
+    only = f"tags.study = '{study}' AND tags.stage = 'transfer' AND tags.`puddle.kind` = "
+    columns = ["metrics.`zero_shot`", "metrics.`predicted`", "params.`environment`", "params.`depth`"]
+    above = {run.info.run_id: True for run in client.search_runs([experiment], f"{only}'stage'")}
+    view = {"searchFilter": f"{only}'trial'", "selectedColumns": columns, "runsExpanded": above}
+    return view | {"orderByKey": "metrics.`zero_shot`", "orderByAsc": False}
+
+
+def _view(client: Any, experiment: str) -> dict[str, Any]:
     """Return MLflow's list of studies as it is shared: with columns for their presets and headline figures."""
     studies = client.search_runs([experiment], _STUDIES, max_results=100)
-    found = {name for run in studies for name in run.data.metrics if name.startswith(_HEADLINE)}
-    headlines = sorted(found, reverse=True)  # the deepest networks first
+    found = {name for run in studies for name in run.data.metrics if name.startswith(_HEADLINES)}
+    # True slush, residual slush and then the others, each in metres and as a share
+    headlines = sorted(found, key=lambda name: name.partition(".")[::-1], reverse=True)
     columns = ["attributes.`Created`", "tags.`preset`"]
     columns += [f"metrics.`{name}`" for name in headlines[:_MOST_HEADLINES]]
-    return json.dumps({"searchFilter": _STUDIES, "selectedColumns": columns})
+    return {"searchFilter": _STUDIES, "selectedColumns": columns}
 
 
 def _serve(uri: str, port: int, words: list[str], page: str) -> NoReturn:

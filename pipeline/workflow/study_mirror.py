@@ -46,7 +46,9 @@ class StudyMirror:
         chosen = settings.model_dump(mode="json")
         preset = preset_of(source) or Path(source).stem
         tags = {"preset": preset} if preset else {}
-        self._study = Run(settings.name, digest(canonical_json(chosen)), params=chosen, tags=tags)
+        page = f"[Its page]({{artifacts}}/page/index.html), also {store.export_path(settings.name) / 'index.html'}."
+        note = f"Robots evolved for {settings.target_label}, selected for {settings.selected_for}. {page}"
+        self._study = Run(settings.name, digest(canonical_json(chosen)), params=chosen, tags=tags, note=note)
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
         self._update: Callable[[], object] = lambda: None  # of the stage that is being computed
         self._thread = threading.Thread(target=self._run, daemon=True)

@@ -19,7 +19,8 @@ from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_type_hints
 
 from tasks.evolution import Objective
-from tasks.world import EnvironmentName, environment_kind
+from tasks.residual.learner import NO_LEARNERS, Learner, arm_kind
+from tasks.world import EnvironmentName
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from tasks.arrays import Float64, Int64
     from tasks.design import Designs
     from tasks.evolution import Deviation, Population
-    from tasks.residual import Learner
     from tasks.simulation import Rollouts
     from tasks.world import EnsembleMedium, Environment, Physics
 
@@ -72,9 +72,9 @@ def scored_by(objective: Objective, row: type) -> type:
     return make_dataclass(row.__name__, columns)
 
 
-def environment_name(name: str) -> str:
-    """Write an environment with its symbol."""
-    kind = environment_kind(name)
+def environment_name(name: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> str:
+    """Write an environment with its symbol, in a study with these learners."""
+    kind = arm_kind(name, learners)
     return f"{kind.label}, {kind.symbol}"
 
 

@@ -61,8 +61,8 @@ def sample(trials: Sequence[ScoredTrial], arm: ScoredArm, depth: float) -> Sampl
     return sample_of(np.array(values, dtype=np.float64), np.array(replicate, dtype=np.int64))
 
 
-def arms(trials: Sequence[ScoredTrial]) -> list[tuple[EnvironmentName, float]]:
+def arms(trials: Sequence[ScoredTrial], target: EnvironmentName = "") -> list[tuple[EnvironmentName, float]]:
     """Return the environments and depths that there are, in the order of listings, the greatest depth first."""
     known = {(one.environment, one.depth) for one in trials}
-    depths, names = sorted({depth for _, depth in known}, reverse=True), in_order(name for name, _ in known)
+    depths, names = sorted({depth for _, depth in known}, reverse=True), in_order((name for name, _ in known), target)
     return [(name, depth) for depth in depths for name in names if (name, depth) in known]

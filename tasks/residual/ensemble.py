@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numba
 import numpy as np
+import scipy
 
 from tasks.arrays import Float32
 from tasks.residual.observation import INPUTS, NUMBERED, OBSERVATION, STATE, VELOCITIES, observe
@@ -53,6 +54,15 @@ class Ensemble:
     def n_members(self) -> int:
         """Number of networks."""
         return len(self.weights[0])
+
+    def mean(self) -> Ensemble:
+        """Return one network that has the members' side by side, whose output is their mean."""
+        n_in, n_out = self.weights[0].shape[1], self.weights[-1].shape[2]
+        weights = [scipy.linalg.block_diag(*weight).astype(np.float32) for weight in self.weights]
+        weights[0] = self.weights[0].swapaxes(0, 1).reshape(n_in, -1)
+        weights[-1] = self.weights[-1].reshape(-1, n_out) / np.float32(self.n_members)
+        biases = [*(bias.reshape(-1) for bias in self.biases[:-1]), self.biases[-1].mean(axis=0)]
+        return Ensemble(tuple(one[None] for one in weights), tuple(one[None] for one in biases), self.inputs)
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
         """Predict the velocity changes of one step; member k predicts entry k of the first axis.

@@ -5,7 +5,8 @@ robots, are built in.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from pydantic import Field, field_serializer
@@ -13,6 +14,8 @@ from pydantic import Field, field_serializer
 from tasks.parameters import Parameters, later_choice
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.throws import Throws
+from tasks.world.registry import EnvironmentKind
+from tasks.world.residual_slush import TANK_MODEL, environment_kind
 
 GroupT = TypeVar("GroupT", bound=Parameters)
 
@@ -60,12 +63,17 @@ BUILT_IN: Mapping[str, LearnerSettings] = {
     "single_member": LearnerSettings(single="residual_slush"),
     "designed_throws": LearnerSettings(),
     "designed_single_member": LearnerSettings(single="designed_throws"),
+    TANK_MODEL.name: LearnerSettings(),
 }
 """The learners of every study; single ones evolve at grid.single_member_depths."""
 
 PAPERS_SINGLE = "single_member"  # which every study has at these depths
 
-THROWS_GROUPS: Mapping[str, str] = {"residual_slush": "throws", "designed_throws": "designed_throws"}
+THROWS_GROUPS: Mapping[str, str] = {
+    "residual_slush": "throws",
+    "designed_throws": "designed_throws",
+    TANK_MODEL.name: "throws",
+}
 """Settings groups of the throws of built-in learners, by which their data sets are called."""
 
 
@@ -85,3 +93,20 @@ class Learner:
     network: Architecture
     training: Training
     n_members: int  # of the ensemble
+
+
+NO_LEARNERS: Mapping[str, Learner] = MappingProxyType({})
+
+
+def arm_kind(name: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> EnvironmentKind:
+    """Return an environment as readers of a study know it, whose learners are known by what they learned from."""
+    kind, learner = environment_kind(name), learners.get(name)
+    tracked = learner is not None and learner.throws.source == "tracks"
+    if learner is None or kind is TANK_MODEL or (name in BUILT_IN and not tracked):
+        return kind
+    throws, networks = learner.throws, "one network" if learner.is_single else "networks"
+    what = "your tank" if tracked else f"{throws.n_throws:,} {'designed ' * (throws.design == 'robots')}throws"
+    label = f"{networks} of your tank" if name in BUILT_IN else f"{kind.label} ({what})"
+    about = f"Dry Land with {networks} ({learner.network.form}) that learned from {'throws in ' * tracked}{what}."
+    evolved = f"with the {label}" if tracked and not learner.is_single else kind.evolved
+    return replace(kind, label=label[0].upper() + label[1:], evolved=evolved, about=about)

@@ -99,3 +99,11 @@ class EnsembleMedium(Medium, Protocol):
     def n_members(self) -> int:
         """Number of members, the length of the links' first axis."""
         ...
+
+
+class Networks(EnsembleMedium, Protocol):
+    """An ensemble whose members' mean is a medium."""
+
+    def mean(self) -> Medium:
+        """Return the medium whose changes are the mean of the members'."""
+        ...

@@ -6,11 +6,12 @@ for readers. A study's own learners are called by their names.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 from tasks.discovery import FAILURES
 from tasks.world.environment import Environment, Pool
-from tasks.world.medium import EnsembleMedium, Medium
+from tasks.world.medium import EnsembleMedium, Medium, Networks
 from tasks.world.registry import ENVIRONMENTS, EnvironmentKind, register
 
 _PAPERS_DEPTH = 9.0  # of the ground below the surface, where the paper compares environments [m]
@@ -33,6 +34,18 @@ class ResidualSlush(Environment):
     def n_members(self) -> int:
         """Number of ensemble members."""
         return self.ensemble.n_members
+
+
+@dataclass(frozen=True)
+class TankModel(Environment):
+    """Dry Land and the mean of residual networks that learned from tracked throws."""
+
+    ensemble: Networks
+
+    @cached_property
+    def medium(self) -> Medium:
+        """Mean of the ensemble."""
+        return self.ensemble.mean()
 
 
 register(
@@ -89,9 +102,21 @@ register(
 )
 
 
+TANK_MODEL = EnvironmentKind(
+    name="tank_model",
+    build=TankModel,
+    learned=True,
+    label="the model of your tank",
+    symbol="T",
+    evolved="in the model of your tank",
+    order=0,
+)
+"""The target of a study that learned from tracked throws and has no other: the mean of the networks. No arm is it."""
+
+
 def environment_kind(name: str) -> EnvironmentKind:
-    """Return a registered environment; any other name is that of a study's own learner."""
-    return ENVIRONMENTS.get(name) or EnvironmentKind(
+    """Return a registered environment or the model of a tank; any other name is that of a study's own learner."""
+    return {**ENVIRONMENTS, TANK_MODEL.name: TANK_MODEL}.get(name) or EnvironmentKind(
         name=name,
         build=ResidualSlush,
         learned=True,
@@ -132,6 +157,6 @@ def as_environment(given: Environment | Medium | str, depth: float | None = None
     return ResidualSlush(depth, given) if hasattr(given, "n_members") else Pool(depth, given)  # type: ignore[arg-type]
 
 
-def in_order(environments: Iterable[str]) -> list[str]:
-    """Return names of environments in the order of listings, each once."""
-    return sorted(set(environments), key=lambda name: (environment_kind(name).order, name))
+def in_order(environments: Iterable[str], first: str = "") -> list[str]:
+    """Return names of environments in the order of listings, each once; the target comes first if it is given."""
+    return sorted(set(environments), key=lambda name: (name != first, environment_kind(name).order, name))

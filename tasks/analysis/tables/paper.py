@@ -61,6 +61,11 @@ class PaperRow:
     p: float | None = column("p", form=p_value, shown=False, meaning="Of Welch's test, corrected.")
     source: str = column("source", form="{}", shown=False, meaning="Quotation and section of the paper.")
 
+    @property
+    def is_metres(self) -> bool:
+        """Whether a displacement itself is compared."""
+        return self.kind == "number" and self.what.endswith("[m]")
+
 
 def written(found: Estimate, form: str) -> str:
     """Write an estimate with its interval in brackets."""

@@ -7,7 +7,7 @@ ensembles; their intervals are by pseudo-values, those of R on Fisher's scale, w
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -16,8 +16,7 @@ from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, o
 from tasks.analysis.registry import Assessed, StudyData, analysis, column
 from tasks.arrays import Float64, Int64
 from tasks.evolution import Deviation, penalised_mean
-from tasks.residual import ensemble_of_data_set
-from tasks.world import environment_kind
+from tasks.residual.learner import NO_LEARNERS, Learner, arm_kind, ensemble_of_data_set
 
 MEAN, CAUTIOUS = "mean", "mean - 1 sd"  # the paper's two aggregates, μ and μ − σ
 _METRICS = {CAUTIOUS: "mean_less_1_sd"}
@@ -25,9 +24,9 @@ _MIN_DESIGNS = 3  # any two points lie on a line
 _HIGHEST_R = 1 - 1e-12  # of Fisher's transformation, which is infinite at 1
 
 
-def ensemble_name(group: str) -> str:
+def ensemble_name(group: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> str:
     """Name the ensemble that learned from a data set."""
-    return environment_kind(ensemble_of_data_set(group)).label
+    return arm_kind(ensemble_of_data_set(group), learners).label
 
 
 def predictor_name(name: str) -> str:

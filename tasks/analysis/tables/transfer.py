@@ -9,6 +9,7 @@ from tasks.analysis import paper
 from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
 from tasks.analysis.registry import SCORE, OfArm, ScoreUnit, StudyData, analysis, column, percent
 from tasks.analysis.scores import ScoredTrial, arms
+from tasks.residual.learner import BUILT_IN
 from tasks.world import EnvironmentName
 
 
@@ -22,14 +23,14 @@ def scores(study: StudyData) -> Sequence[ScoredTrial]:
 class TransferRow(OfArm):
     """The champions of one environment at one depth."""
 
-    n: int = column("n", form="{}", meaning="Trials.")
-    predicted: Mean = column("predicted", SCORE, meaning="Where it evolved: for an ensemble the mean μ over members.")
-    sigma: float | None = column("σ", SCORE, meaning="Mean deviation over the members of an ensemble.")
-    fitness: float | None = column("μ − kσ", ScoreUnit(), meaning="Mean of what evolution maximised, for an ensemble.")
     zero_shot: Mean = column("zero-shot", SCORE, meaning="Displacement of the root in the target, as it is.")
     zero_shot_share: float | None = column("share", form=percent, meaning="Of the zero-shot mean of the target's own.")
     adapted: Mean = column("adapted", SCORE, meaning="With a controller that evolved in the target.")
     adapted_share: float | None = column("share", form=percent)
+    predicted: Mean = column("predicted", SCORE, meaning="Where it evolved: for an ensemble the mean μ over members.")
+    sigma: float | None = column("σ", SCORE, meaning="Mean deviation over the members of an ensemble.")
+    fitness: float | None = column("μ − kσ", ScoreUnit(), meaning="Mean of what evolution maximised, for an ensemble.")
+    n: int = column("n", form="{}", meaning="Trials.")
     paper_zero_shot: float | None = column("paper", "m", meaning="The paper's mean over 10 trials, zero-shot.")
     paper_adapted: float | None = column("paper, adapted", "m", meaning="The same, adapted.")
 
@@ -40,7 +41,7 @@ TOO_WIDE = ("n", "sigma", "fitness", "paper_zero_shot", "paper_adapted")
 
 def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, papers: bool = False) -> list[TransferRow]:
     """Average the trials of each arm, the greatest depth first; the paper's means are beside them if asked for."""
-    by_arm = {arm: [one for one in trials if (one.environment, one.depth) == arm] for arm in arms(trials)}
+    by_arm = {arm: [one for one in trials if (one.environment, one.depth) == arm] for arm in arms(trials, target)}
     means = {
         arm: {name: mean_of(np.array([getattr(one, name) for one in own])) for name in _AVERAGED}
         for arm, own in by_arm.items()
@@ -53,14 +54,14 @@ def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, pap
             TransferRow(
                 environment,
                 depth,
-                len(by_arm[environment, depth]),
-                of_arm["predicted"],
-                of_arm["predicted_sd"].value,
-                of_arm["fitness"].value if is_ensemble else None,
                 of_arm["zero_shot"],
                 _share(of_arm["zero_shot"], best.get("zero_shot")),
                 of_arm["adapted"],
                 _share(of_arm["adapted"], best.get("zero_shot")),
+                of_arm["predicted"],
+                of_arm["predicted_sd"].value,
+                of_arm["fitness"].value if is_ensemble else None,
+                len(by_arm[environment, depth]),
                 papers_mean(environment, "zero_shot", depth) if papers else None,
                 papers_mean(environment, "adapted", depth) if papers else None,
             )
@@ -87,12 +88,11 @@ def papers_mean(environment: str, quantity: str, depth: float) -> float | None:
 
 
 def _metrics(rows: Sequence[TransferRow]) -> dict[str, float | None]:
-    return {
-        f"ratio_to_target.{quantity}.{row.environment}.{row.depth:g}m": getattr(row, f"{quantity}_share")
-        for row in rows
-        for quantity in ("zero_shot", "adapted")
-        if row.zero_shot_share != 1  # of the target itself
-    }
+    """Return displacements and shares at the greatest depth; MLflow shows the first ten characters of their names."""
+    single = [name for name, learner in BUILT_IN.items() if learner.single]
+    found = [row for row in rows if row.depth == rows[0].depth and row.environment not in single]
+    metres = {f"m.{row.environment}": row.zero_shot.value for row in found}
+    return metres | {f"share.{row.environment}": row.zero_shot_share for row in found if row.zero_shot_share != 1}
 
 
 @analysis(

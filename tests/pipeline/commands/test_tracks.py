@@ -12,6 +12,7 @@ from small_study import labelled
 from tank import filmed, write_tracks
 
 from pipeline.commands.options import StudyOptions
+from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import open_study
 from pipeline.stages.collect import COLLECT, TRANSITIONS, read_transitions
 from pipeline.stages.tracked import check_tracks, report_lines, with_tracks
@@ -62,6 +63,42 @@ def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
     (champion,) = study.champions().to_pylist()
     scores = [champion[name] for name in ("predicted", "zero_shot", "adapted")]
     assert champion["environment"] == "residual_slush" and np.isfinite(scores).all()
+
+
+def test_robots_of_tracks_are_tested_in_the_model_of_the_tank(collected, tmp_path, capsys) -> None:
+    """With one member, the model is what the robots evolved in: they get as far as predicted, to rounding."""
+    folder, _ = collected
+    shutil.copytree(folder / "store", tmp_path / "store")
+    where = ("tank", "--store", str(tmp_path / "store"), "--workers", "0")
+    assert call("study", *where, *WITHOUT_MLFLOW) == 0
+    said = capsys.readouterr().out
+    page = (tmp_path / "store/studies/tank/report/index.html").read_text()
+    shown = said + page.replace(page[page.index("<summary>Settings") : page.index("<summary>Software")], "")
+    assert "Champions of study tank in the model of your tank" in said and "slush" not in said.replace("_slush", "")
+    assert "Robots evolved for the model of your tank: tank" in page and "True Slush" not in shown
+    study = open_study("tank", tmp_path / "store")
+    (trial,) = study.trials()
+    assert trial.zero_shot == pytest.approx(trial.predicted, abs=0.05)
+    assert np.isfinite(study.simulate(study.champion("residual_slush", depth=1.0, trial=0)).displacement).all()
+    assert call("transfer", *where, "--set", "target=flowing_slush", *WITHOUT_MLFLOW) == 0
+    (trial,) = open_study("tank", tmp_path / "store").trials()
+    assert np.isfinite([trial.zero_shot, trial.adapted]).all()
+    kept = StudyOptions(name="tank", store=tmp_path / "store", tracks=folder / "tracks.csv").settings()
+    assert kept.target == "flowing_slush"
+
+
+def test_the_slush_stays_where_it_is_asked_for(collected) -> None:
+    def target(*overrides: str) -> str:
+        options = {"settings_file": folder / "plain.yaml", "tracks": folder / "tracks.csv"}
+        return StudyOptions(**options, overrides=list(overrides)).settings().target
+
+    folder, _ = collected
+    assert target() == "tank_model"
+    smoke = StudyOptions(preset="smoke", tracks=folder / "tracks.csv").settings()
+    assert (smoke.target, smoke.grid.environments) == ("tank_model", ("dry_land", "residual_slush"))
+    assert target("target=true_slush") == target("grid.environments=[true_slush,residual_slush]") == "true_slush"
+    with pytest.raises(PuddleError, match="target: expected an environment of one medium, any of true_slush"):
+        target("grid.environments=[designed_throws]")
 
 
 def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_path) -> None:

@@ -149,18 +149,18 @@ def test_a_live_trial_grows_segment_by_segment(store: Store, monkeypatch):
 def test_the_runs_page_is_that_of_model_training():
     page = "http://h:1/#/experiments{}?workflowType=machine_learning&{}"
     assert runs_page("http://h:1", None) == page.format("", "viewStateShareKey=puddle")
-    assert runs_page("http://h:1", "7", "tiny") == page.format("/7/runs", "searchFilter=tags.study%20%3D%20%27tiny%27")
+    assert runs_page("http://h:1", "7", "tiny") == page.format("/7/runs", "viewStateShareKey=puddle-tiny")
 
 
 def test_the_list_of_studies_has_presets_and_headline_figures(store: Store, browser: Browser):
     tracker = Tracker(store.root, say=pytest.fail)
     for name in ("first", "second"):
-        headline = {"ratio_to_target.zero_shot.dry_land.9m": 0.26, "accuracy.slope.mean": 0.5}
+        headline = {"share.dry_land": 0.26, "m.residual_slush": 6.4, "accuracy.slope.mean": 0.5}
         study = Run(name, name, tags={"preset": "smoke"}, metrics=headline, status="FINISHED")
         tracker.mirror(study, Run("evolve", "evolve", status="FINISHED"))
     with pages(store.root) as (server, address):
         browser.visit(address, width=1600)
-        for words in ("first", "second", "smoke", "ratio_to_target.zero_shot.dry_land.9m", "0.26"):
+        for words in ("first", "second", "smoke", "share.dry_land", "0.26", "m.residual_slush"):
             browser.until(f"document.body.innerText.includes({words!r})")
         text = browser.evaluate("document.body.innerText")
         assert "evolve" not in text and "accuracy.slope" not in text

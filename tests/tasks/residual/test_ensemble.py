@@ -49,6 +49,14 @@ def test_an_ensemble_is_shown_without_its_weights(ensemble):
     assert repr(ensemble) == shown
 
 
+@pytest.mark.parametrize("architecture", [Architecture(hidden_layers=1, width=7), Architecture(hidden_layers=3)])
+def test_the_mean_of_an_ensemble_is_one_network(architecture):
+    several = Ensemble.from_members(members(architecture)[1])
+    x = np.broadcast_to(observations(50)[:1], (N_MEMBERS, 50, 6))
+    expected = several.predict(np.ascontiguousarray(x)).mean(axis=0)
+    np.testing.assert_allclose(several.mean().predict(x[:1].copy())[0], expected, rtol=1e-4, atol=1e-4)
+
+
 @pytest.mark.parametrize("architecture", [Architecture(hidden_layers=1, width=7), Architecture()])
 def test_equals_each_member_s_own_network(architecture):
     networks, arrays = members(architecture)
