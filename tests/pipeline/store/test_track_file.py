@@ -45,7 +45,7 @@ GERMAN = PLAIN.replace(",", ";").replace(".", ",")
         PLAIN.replace("\n1", "\n,,,,\n1", 2),
         PLAIN.replace("\n", ",,\n"),
         PLAIN.replace(",", "\t").encode("utf-16"),
-        gzip.compress(PLAIN.encode()),
+        gzip.compress(PLAIN.encode(), mtime=0),
         bz2.compress(GERMAN.encode("cp1252")),
         PLAIN.replace("\n", ",1\n").replace("angle,1", "angle,Neigung [°]").encode("cp1252"),
     ],
