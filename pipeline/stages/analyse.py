@@ -118,6 +118,8 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             counts = Counter(row.verdict for row in rows)
             told = ", ".join(f"{counts[verdict]} × {verdict}" for verdict in VERDICTS)
             lines += textwrap.wrap(f"{len(rows)} statements of the paper: {told}; the page has the table", 78)
+    if settings.evolution.maximised.unit != "m":
+        metrics = {f"score{name[1:]}" if name.startswith("m.") else name: value for name, value in metrics.items()}
     known = {name: value for name, value in metrics.items() if value is not None and isfinite(value)}
     counted = ", ".join(f"{name} ({len(rows):,})" for name, rows in tables.items())
     lines = [*textwrap.wrap(f"rows of the tables of study {settings.name}: {counted}", 78), *lines]

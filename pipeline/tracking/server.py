@@ -22,7 +22,7 @@ from pipeline.tracking.database import (
 
 _VIEW = "puddle"  # name of the shared view that the list of studies opens with
 _STUDIES = "tags.`puddle.kind` = 'study'"
-_HEADLINES, _MOST_HEADLINES = ("m.", "share."), 4  # more would push the presets off the screen
+_HEADLINES, _MOST_HEADLINES = ("m.", "score.", "share."), 4  # more would push the presets off the screen
 
 
 def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None = None) -> None:
