@@ -62,9 +62,9 @@ class Front:
 
     evolved: str = column("robots evolved", form="{}")
     n: int = column("trials", form="{}")
-    zero_shot: Estimate = column("zero-shot (95 %)", form="{:z.0%}")
+    zero_shot: Estimate = column("zero-shot", form="{:z.0%}")
     papers_zero_shot: float | None = column("paper", form="{:z.0%}")
-    adapted: Estimate = column("adapted (95 %)", form="{:z.0%}")
+    adapted: Estimate = column("adapted", form="{:z.0%}")
     papers_adapted: float | None = column("paper", form="{:z.0%}")
 
 

@@ -28,7 +28,7 @@ from tasks.discovery import FAILURES
 from tasks.evolution import OBJECTIVES
 from tasks.residual import arm_kind, ensemble_of_data_set
 from tasks.simulation import OK, Rollouts
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, environment_kind
+from tasks.world import EnsembleMedium, Environment, EnvironmentName, environment_kind
 
 _PAGE = ".html"
 _AT_ONCE, _WITH_TRACE = 4096, 64  # designs simulated in one call, to bound the memory
@@ -159,7 +159,7 @@ def score_designs(
 def _checked(settings: Settings, environment: str | None, depth: float) -> EnvironmentName:
     """Return the name of an environment, by default the target; refuse an unknown one, and a depth out of range."""
     environment = settings.target if environment is None else environment
-    known = {name: settings.learner(name) for name in (*ENVIRONMENTS, settings.target, *settings.learners)}
+    known = {name: settings.learner(name) for name in settings.simulated_environments}
     names = [name for name, learner in known.items() if learner is None or not learner.is_single]
     if environment not in names:
         mistake = f"--environment: expected one of {', '.join(names)}, got {environment!r}"

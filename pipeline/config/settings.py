@@ -422,6 +422,11 @@ class Settings(Parameters):
         return environment in adapted or adapted == IN_EVERY_RECORD
 
     @property
+    def simulated_environments(self) -> tuple[EnvironmentName, ...]:
+        """Environments of simulations: media, learners, and the model of a tank if that is the target."""
+        return *ENVIRONMENTS, *({self.target} & {TANK_MODEL.name}), *self.learners
+
+    @property
     def target_label(self) -> str:
         """The target as readers know it."""
         return environment_kind(self.target).label

@@ -33,7 +33,6 @@ from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TransferRow, transfer_rows
 from tasks.design import Designs
 from tasks.simulation import Rollouts
-from tasks.world import ENVIRONMENTS
 
 if TYPE_CHECKING:
     from tasks.world import EnsembleMedium
@@ -232,8 +231,8 @@ class Study:
         learner = self.settings.learner(environment)
         if learner is not None and environment != self.settings.target:
             self._check({"environment": environment, "trial": trial})
-        elif environment not in (*ENVIRONMENTS, self.settings.target):
-            known = ", ".join((*ENVIRONMENTS, *self.settings.learners))
+        elif environment not in self.settings.simulated_environments:
+            known = ", ".join(self.settings.simulated_environments)
             raise PuddleError(f"study {self.name}: environment: expected one of {known}, got {environment!r}")
         own = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)
         networks = environments.read_networks(own, self.upstream, self.store)

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import to_jsonable_python
 
 from pipeline.config.settings import RecordedSettings, Settings
-from pipeline.errors import PuddleError
+from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
 from pipeline.workflow.stage import Upstream
 from tasks.discovery import FAILURES
@@ -26,9 +26,13 @@ class DrivenStudy:
         changes: list[str] = []
         try:
             before = store.read_study(settings.name)
+        except DamagedArtifact as damage:
+            say(f"{damage}")
+            before = None
+        try:
             changes = differences(settings_of(before), settings) if before else []
-        except PuddleError as problem:
-            say(f"{problem}")
+        except PuddleError as other_version:
+            say(f"{other_version}")
             before = None
         if before is not None and not changes:
             self._record = replace(before, settings=self._record.settings, source=source or before.source)

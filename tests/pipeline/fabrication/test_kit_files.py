@@ -54,7 +54,7 @@ GOOD = calibration_yaml(CALIBRATION, "good").decode()
     [
         (("min_us: 900", "min_us: 2200"), "calibration.yaml: servos[0]: min_us is 2200 and max_us is 2100"),
         (("us_per_rad: 600", "us_per_rad: .nan"), "servos[0].us_per_rad: expected a finite number"),
-        (("centre_us: 1500", "center_us: 1500"), "center_us: unknown setting; did you mean centre_us?"),
+        (("centre_us: 1500", "center_us: 1500"), "center_us: unknown setting; did you mean servos[0].centre_us?"),
         (("channel: 7", "channel: 0"), "channel 0 appears twice"),
         (("direction: -1", "direction: 0"), "servos[1].direction"),
         ({"joints": [2, 9]}, "joints.1: Input should be less than 6"),

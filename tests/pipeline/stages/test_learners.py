@@ -54,8 +54,8 @@ def test_learners_of_a_study_are_arms_like_others(folder):
 
 def test_the_page_names_them_in_colours_of_their_own(folder):
     page = (folder / "store" / "studies" / "listed" / "report" / PAGE).read_text()
-    assert "Five, Ê" in page and "One of five, Ê" in page
-    assert "--arm-five: #0f8b8d" in page and "--arm-one_of_five: #b0408f" in page
+    assert "Five (5 throws), Ê" in page and "One of five (5 throws), Ê" in page
+    assert "--arm-five: #d6428f" in page and "--arm-one_of_five: #6f7d1c" in page
 
 
 def test_the_robot_to_build_and_the_page_s_commands_are_of_their_own_learner(folder):
@@ -65,7 +65,7 @@ def test_the_robot_to_build_and_the_page_s_commands_are_of_their_own_learner(fol
     assert {("five", "five"), ("one_of_five", ""), ("residual_slush", "residual_slush")} <= commands
     few = study.settings.grid.model_copy(update={"environments": ("true_slush", "dry_land", "five")})
     source = proposed(replace(study, settings=study.settings.model_copy(update={"grid": few})))
-    assert "evolved in five" in source.origin and len(source.predicted) == 3
+    assert "evolved with the networks of five" in source.origin and len(source.predicted) == 3
 
 
 def test_a_design_is_simulated_under_a_learner(folder, capsys):
@@ -75,7 +75,7 @@ def test_a_design_is_simulated_under_a_learner(folder, capsys):
     assert call("simulate", str(design), "--environment", "five", *where) == 0
     said = capsys.readouterr().out
     assert call("simulate", str(design), "--environment", "designed_throws", *where) == 2
-    assert said.startswith("Five, 1 m deep") and said.count(", ", said.index("members")) == 2
+    assert said.startswith("Five (5 throws), 1 m deep") and said.count(", ", said.index("members")) == 2
 
 
 def test_learners_change_no_work_item_of_other_arms():
