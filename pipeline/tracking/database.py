@@ -108,5 +108,5 @@ def check_reachable(uri: str) -> None:
         credentials = get_default_host_creds(uri)
         http_request(credentials, "/health", "GET", timeout=_SECONDS_TO_ANSWER, max_retries=0, raise_on_status=False)
     except MlflowException as error:
-        reason = str(error).rpartition(": ")[2].partition(". ")[0].strip("'\")")
+        reason = str(error).rpartition(": ")[2].partition(". ")[0].partition(" (")[0].strip("'\")")
         raise PuddleError(without_password(f"{uri} does not answer ({reason})")) from None
