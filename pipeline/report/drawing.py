@@ -159,11 +159,15 @@ def legend(figure: Figure, handles: Sequence[Artist], *, n_columns: int = 3, abo
     Args:
         figure: the figure.
         handles: legend entries; without any there is no legend.
-        n_columns: entries per row.
+        n_columns: entries per row, or as many as the figure is wide enough for.
         above: whether it goes above the panels instead of below.
     """
-    if handles:
-        figure.legend(handles=handles, loc=f"outside {'upper' if above else 'lower'} center", ncols=n_columns)
+    place = f"outside {'upper' if above else 'lower'} center"
+    for n in range(n_columns, 0, -1) if handles else ():
+        drawn = figure.legend(handles=handles, loc=place, ncols=n)
+        if n == 1 or drawn.get_window_extent().width <= figure.bbox.width:
+            break
+        drawn.remove()
 
 
 def show_at_least(axes: Any, span: float = 0.1) -> None:

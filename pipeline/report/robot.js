@@ -263,9 +263,10 @@ const robots = (() => {
     context.fillStyle = color("ink");
     context.textAlign = "left";
     context.font = "13px system-ui, sans-serif";
-    context.fillText("in " + replay.seenIn + ", " + replay.depth + " m", 12, 10);
+    const room = box.width - 96; // beside the displacement; longer text is condensed
+    context.fillText("in " + replay.seenIn + ", " + replay.depth + " m", 12, 10, room);
     context.fillStyle = color("soft");
-    context.fillText(replay.title, 12, 28);
+    context.fillText(replay.title, 12, 28, room);
     context.fillStyle = color("ink");
     context.textAlign = "right";
     context.font = "600 18px system-ui, sans-serif";
