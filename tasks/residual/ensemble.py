@@ -20,8 +20,8 @@ import scipy
 from tasks.arrays import Float32
 from tasks.residual.observation import INPUTS, NUMBERED, OBSERVATION, STATE, VELOCITIES, observe
 from tasks.residual.wetted import WETTED, in_world_axes
-from tasks.simulation.networks.coupled import WETTED_FIELDS
 from tasks.simulation.networks.inference import PackedNetworks
+from tasks.simulation.networks.wetted import WETTED_FIELDS
 from tasks.world import LinkStates, Physics, VelocityChange
 
 N_OUT = len(STATE[VELOCITIES])

@@ -23,9 +23,9 @@ import numpy as np
 
 from tasks.arrays import Float32, Floats
 from tasks.simulation.free_links import FreeLinks
+from tasks.simulation.networks.wetted import WETTED_FIELDS, changes_by, inputs_of
 from tasks.world.medium import Medium
 from tasks.world.physics import Physics
-from tasks.world.slush import submerged_part
 
 WETTED = (
     "submerged_area",
@@ -61,30 +61,17 @@ def acts_above_water(medium: Medium, physics: Physics) -> bool:
 
 
 def wetted_inputs(quantities: Mapping[str, Floats]) -> Float32:
-    """Return (..., n_inputs) inputs in the order of WETTED, with the bits of tasks/simulation/networks/coupled.py.
+    """Return (..., n_inputs) inputs in the order of WETTED.
 
     Args:
         quantities: arrays of one shape (...) by the name of a field of :class:`tasks.world.LinkStates`.
     """
-    a, y, cos, sin, vx, vy, omega = (
-        np.asarray(quantities[name]).astype(np.float32)
-        for name in ("length_scale", "y", "cos", "sin", "vx", "vy", "omega")
-    )
-    area, second_moment = submerged_part(a, y, cos, sin)
-    width = 1 / a
-    share = second_moment * 12 / (width * width + a * a)
-    along, across = cos * vy - sin * vx, cos * vx + sin * vy
-    speed = np.sqrt(along * along + across * across)
-    squares = abs(along) * along, abs(across) * across
-    return np.stack((area, share, cos, sin, along, across, omega, y, a, speed, abs(omega), *squares), axis=-1)
+    return np.stack(inputs_of(*(np.asarray(quantities[name]).astype(np.float32) for name in WETTED_FIELDS)), axis=-1)
 
 
 def in_world_axes(inputs: Float32, outputs: Float32) -> Float32:
     """Return (..., 3) changes of vx, vy and ω by (..., 4) outputs f_t, f_n, f_ω and b."""
-    area, share, cos, sin = np.moveaxis(inputs[..., :4], -1, 0)
-    along, across, turn, lift = np.moveaxis(outputs, -1, 0)
-    along, across = area * along, area * across
-    return np.stack((cos * across - sin * along, (sin * across + cos * along) + area * lift, share * turn), axis=-1)
+    return np.stack(changes_by(tuple(np.moveaxis(outputs, -1, 0)), tuple(np.moveaxis(inputs[..., :4], -1, 0))), axis=-1)
 
 
 def in_link_axes(inputs: Float32, change: Float32) -> Float32:

@@ -18,14 +18,11 @@ import numpy as np
 from tasks.arrays import Bools, Float32, Int64
 from tasks.compiled import inline
 from tasks.design.genes import N_LINKS
-from tasks.simd.lanes import Block, as_block, sqrt
+from tasks.simd.lanes import Block, as_block
 from tasks.simulation.networks.inference import PackedNetworks, run_networks
 from tasks.simulation.networks.tiles import N_LANES
+from tasks.simulation.networks.wetted import changes_by, inputs_of
 from tasks.simulation.trees import layout
-from tasks.world.slush import submerged_part
-
-WETTED_FIELDS = ("length_scale", "y", "cos", "sin", "vx", "vy", "omega")
-"""What wetted networks read."""
 
 
 class LinkCopies(NamedTuple):
@@ -108,7 +105,7 @@ def couple(
 
 @inline
 def _read_wetted(copies: LinkCopies, observed: Int64) -> None:
-    """Compute the inputs of wetted networks, as tasks.residual.wetted.wetted_inputs does."""
+    """Compute the inputs of wetted networks."""
     robots, x, stride, n = copies.robots, copies.x, copies.quantity, copies.number
     for copy in range(copies.rows.shape[0]):
         robot, k = copies.rows[copy, 0], copies.rows[copy, 1]
@@ -116,14 +113,10 @@ def _read_wetted(copies: LinkCopies, observed: Int64) -> None:
         cos, sin = robots[robot + observed[2] * stride], robots[robot + observed[3] * stride]
         vx, vy = robots[robot + observed[4] * stride], robots[robot + observed[5] * stride]
         omega = robots[robot + observed[6] * stride]
-        width = 1 / a
-        area, second_moment = submerged_part(a, y, cos, sin)
-        share = second_moment * 12 / (width * width + a * a)
-        along, across = cos * vy - sin * vx, cos * vx + sin * vy
-        x[k], x[k + n], x[k + 2 * n], x[k + 3 * n] = area, share, cos, sin
-        x[k + 4 * n], x[k + 5 * n], x[k + 6 * n], x[k + 7 * n], x[k + 8 * n] = along, across, omega, y, a
-        x[k + 9 * n], x[k + 10 * n] = sqrt(along * along + across * across), abs(omega)
-        x[k + 11 * n], x[k + 12 * n] = abs(along) * along, abs(across) * across
+        inputs = inputs_of(a, y, cos, sin, vx, vy, omega)
+        x[k], x[k + n], x[k + 2 * n], x[k + 3 * n] = inputs[:4]
+        x[k + 4 * n], x[k + 5 * n], x[k + 6 * n], x[k + 7 * n], x[k + 8 * n] = inputs[4:9]
+        x[k + 9 * n], x[k + 10 * n], x[k + 11 * n], x[k + 12 * n] = inputs[9:]
 
 
 @inline
@@ -140,17 +133,16 @@ def _read(copies: LinkCopies, observed: Int64, wetted: bool) -> None:
 
 @inline
 def _add_wetted(copies: LinkCopies, to_vx: int, to_vy: int, to_omega: int) -> None:
-    """Add the outputs of wetted networks, as tasks.residual.wetted.in_world_axes does."""
+    """Add what the outputs of wetted networks change."""
     robots, stride, n = copies.robots, copies.quantity, copies.number
     for copy in range(copies.rows.shape[0]):
         robot, x, change = copies.rows[copy, 0], copies.rows[copy, 1], copies.rows[copy, 2]
-        area, share, cos, sin = copies.x[x], copies.x[x + n], copies.x[x + 2 * n], copies.x[x + 3 * n]
-        along, across = area * copies.out[change], area * copies.out[change + n]
-        turn, lift = share * copies.out[change + 2 * n], area * copies.out[change + 3 * n]
+        part = copies.x[x], copies.x[x + n], copies.x[x + 2 * n], copies.x[x + 3 * n]
+        out = copies.out[change], copies.out[change + n], copies.out[change + 2 * n], copies.out[change + 3 * n]
+        changes = changes_by(out, part)
         vx, vy, omega = robot + to_vx * stride, robot + to_vy * stride, robot + to_omega * stride
-        robots[vx] = robots[vx] + (cos * across - sin * along)
-        robots[vy] = robots[vy] + ((sin * across + cos * along) + lift)
-        robots[omega] = robots[omega] + turn
+        robots[vx], robots[vy] = robots[vx] + changes[0], robots[vy] + changes[1]
+        robots[omega] = robots[omega] + changes[2]
 
 
 @inline
