@@ -15,16 +15,16 @@ import numpy as np
 import yaml
 
 from benchmarks.synthetic_tank import TankCamera, TankScene, film_board, sticker
+from pipeline.bench.vision.markers_file import Markers, TaggedBar, markers_of
+from pipeline.bench.vision.video import film
 from pipeline.commands.run_comparison import read_kit
 from pipeline.store.tables import Columns, csv_of
-from pipeline.vision.markers_file import Markers, TaggedBar, markers_of
-from pipeline.vision.video import film
 from tasks.analysis.built_run import BuiltRobot
 from tasks.arrays import Float64
+from tasks.bench.fabrication.kit_settings import KitSettings, ThrowingKit
+from tasks.bench.fabrication.throwing_bars import throwing_bars
+from tasks.bench.fabrication.timeline import Playback, driven_joints, envelope
 from tasks.design import N_LINKS, rest_pose
-from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
-from tasks.fabrication.throwing_bars import throwing_bars
-from tasks.fabrication.timeline import Playback, driven_joints, envelope
 from tasks.seeding import generator
 from tasks.simulation import simulate
 

@@ -20,16 +20,16 @@ import cv2
 import numpy as np
 import yaml
 
-from pipeline.vision.markers_file import Dictionary, Markers, TaggedBar, markers_of
-from pipeline.vision.tags import charuco_board, modules
-from pipeline.vision.video import Picture, film
+from pipeline.bench.vision.markers_file import Dictionary, Markers, TaggedBar, markers_of
+from pipeline.bench.vision.tags import charuco_board, modules
+from pipeline.bench.vision.video import Picture, film
 from tasks.arrays import Float32, Float64
-from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
-from tasks.fabrication.throwing_bars import throwing_bars
+from tasks.bench.fabrication.kit_settings import KitSettings, ThrowingKit
+from tasks.bench.fabrication.throwing_bars import throwing_bars
+from tasks.bench.vision.plane import Lens, SeenPlane
 from tasks.residual.throws import Starts, even_starts
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
-from tasks.vision.plane import Lens, SeenPlane
 from tasks.world import Physics, Slush, froude_time
 
 SCALE = 0.07  # bench metres per simulated metre

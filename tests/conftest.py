@@ -79,7 +79,7 @@ LONGEST_FIRST = (
     *TOGETHER["quick_study"],
     "torture/test_processes.py",
     *TOGETHER["study"],
-    "tracking/test_pages.py",
+    "mlflow/test_pages.py",
     "torture/test_kills.py",
     "parity/test_equals_pybox2d.py",
     "fabrication/test_fabricate.py",
@@ -88,9 +88,9 @@ LONGEST_FIRST = (
     "commands/test_compare_run.py",
     "tracks/test_residuals.py",
     *TOGETHER["drawn"],
-    "tracking/test_mirror.py",
+    "mlflow/test_mirror.py",
     "architecture/test_wheel.py",
-    "tracking/test_server.py",
+    "mlflow/test_server.py",
     "simulation/test_batch.py",
     "pipeline/test_kernels.py",
     "fabrication/test_servos.py",
@@ -111,7 +111,7 @@ def write_to_memory() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def empty_databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Spare MLflow the making of a database per store, but in tests/pipeline/tracking."""
+    """Spare MLflow the making of a database per store, but in tests/pipeline/mlflow."""
     with copied_databases(tmp_path_factory.mktemp("empty-database")):
         yield
 
@@ -156,8 +156,8 @@ def crane() -> Designs:
 @pytest.fixture(scope="session")
 def kit(crane: Designs) -> Any:
     """Its kit."""
-    from tasks.fabrication.kit import build_kit  # CAD takes seconds to load
-    from tasks.fabrication.kit_settings import KitSettings
+    from tasks.bench.fabrication.kit import build_kit  # CAD takes seconds to load
+    from tasks.bench.fabrication.kit_settings import KitSettings
 
     return build_kit(crane, KitSettings())
 

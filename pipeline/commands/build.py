@@ -44,12 +44,12 @@ def fabricate(
     With --throwing-kit it makes bars to throw into a tank, their tags, a calibration board and a page that says how to
     film them. Their lengths and the tank are settings: --set throwing.lengths=[1,2,3].
     """
+    from pipeline.bench.fabrication.make_kit import fabricate as make
+    from pipeline.bench.fabrication.source import from_file, proposed
+    from pipeline.bench.fabrication.throwing_kit import make_throwing_kit
     from pipeline.config.loading import load, parse
-    from pipeline.fabrication.make_kit import fabricate as make
-    from pipeline.fabrication.source import from_file, proposed
-    from pipeline.fabrication.throwing_kit import make_throwing_kit
     from pipeline.results.recorded_study import open_study
-    from tasks.fabrication.kit_settings import FabricationSettings
+    from tasks.bench.fabrication.kit_settings import FabricationSettings
 
     if throwing_kit and (design is not None or study is not None or preset is not None):
         raise PuddleError("--throwing-kit: expected no design, --study or --preset: bars are not of a robot")
@@ -95,10 +95,10 @@ def track(
     with what was found. A throw begins where all tags of a bar are seen inside the rectangle of the tank's corner tags.
     It ends when the bar leaves the rectangle, is not seen for 0.1 s, or rests.
     """
+    from pipeline.bench.vision import require_vision
+    from pipeline.bench.vision.markers_file import Markers
+    from pipeline.bench.vision.track_video import TrackOptions, track_videos
     from pipeline.config.loading import load
-    from pipeline.vision import require_vision
-    from pipeline.vision.markers_file import Markers
-    from pipeline.vision.track_video import TrackOptions, track_videos
 
     require_vision()
     found = load(Markers, markers, overrides or ())

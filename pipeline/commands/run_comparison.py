@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.bench.fabrication.kit_files import KIT, KIT_MANIFEST
+from pipeline.bench.vision.markers_file import Markers
+from pipeline.bench.vision.track_video import TrackOptions, follow
 from pipeline.commands.options import output_suffix
 from pipeline.commands.terminal import to_stderr
 from pipeline.config.loading import load
 from pipeline.config.settings import RolloutSettings
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_files import KIT, KIT_MANIFEST
 from pipeline.report.render import as_text
 from pipeline.report.run_page import render_run, verdict
 from pipeline.results.recorded_study import Study, open_study
@@ -22,11 +24,9 @@ from pipeline.store import disk
 from pipeline.store.design_file import load_design
 from pipeline.store.encoding import decode_document
 from pipeline.store.track_file import content_of, read_track_table
-from pipeline.vision.markers_file import Markers
-from pipeline.vision.track_video import TrackOptions, follow
 from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, compare_with_simulation
+from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import N_LINKS
-from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush, environment_kind, froude_time
 from tasks.world.slush import PAPERS_TARGET

@@ -18,7 +18,7 @@ _STANDARD_INPUT = 0  # its file descriptor
 
 def _list_ports(wanted: bool) -> None:
     """List the serial ports and exit, if the user asked for that."""
-    from pipeline.servo.maestro import port_lines
+    from pipeline.bench.servo.maestro import port_lines
 
     if wanted:
         to_stdout(*port_lines())
@@ -40,7 +40,7 @@ class PortOptions:
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything except talk to a controller.")] = False
 
     def connection(self) -> dict[str, Any]:
-        """Return the fields of a :class:`pipeline.servo.play.Connection`."""
+        """Return the fields of a :class:`pipeline.bench.servo.play.Connection`."""
         return {"port": self.port, "timeout": self.timeout, "dry_run": self.dry_run}
 
 
@@ -61,7 +61,7 @@ def play(
     log: Log = None,
 ) -> None:
     """Move a robot's servos through a timeline, and return them to rest whatever happens (docs/servo.md)."""
-    from pipeline.servo.play import PlayOptions, play_timeline
+    from pipeline.bench.servo.play import PlayOptions, play_timeline
 
     options = PlayOptions(timeline, calibration, duration, loop, log, **port.connection())
     if not play_timeline(options, confirm=lambda question: yes or _confirmed(question), say=to_stdout):
@@ -76,8 +76,8 @@ def calibrate(
     log: Log = None,
 ) -> None:
     """Move the servos one by one, measure them, and write calibration.yaml; the previous one stays beside it."""
-    from pipeline.servo.calibrate import CalibrateOptions, Dialogue
-    from pipeline.servo.calibrate import calibrate as measure
+    from pipeline.bench.servo.calibrate import CalibrateOptions, Dialogue
+    from pipeline.bench.servo.calibrate import calibrate as measure
 
     options = CalibrateOptions(kit, joints or (), log, **port.connection())
     if not measure(options, Dialogue(confirm=_confirmed, say=to_stdout, read=TypedLines(_STANDARD_INPUT))):
@@ -92,7 +92,7 @@ def off(
     """Switch the servos off at once, wherever they are, and check that the controller has stopped their pulses."""
     from contextlib import closing
 
-    from pipeline.servo.play import Connection, calibration_at, open_controller, switch_off
+    from pipeline.bench.servo.play import Connection, calibration_at, open_controller, switch_off
 
     _, calibration = calibration_at(kit)
     with closing(open_controller(Connection(**port.connection()))) as controller:

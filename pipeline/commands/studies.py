@@ -174,8 +174,8 @@ def ui(
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port on the loopback interface.")] = 5000,
 ) -> None:
     """Show a store's studies, or the runs of one, in MLflow."""
+    from pipeline.mlflow.server import show_ui
     from pipeline.store.store import Store
-    from pipeline.tracking.server import show_ui
 
     root = store if tracking_uri else Store.open(store, create=False).root
     show_ui(root, port, uri=tracking_uri or None, study=study)

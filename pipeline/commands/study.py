@@ -53,8 +53,8 @@ def _run_stages(
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE."""
     from pipeline.commands.time_model import forecast_stages
+    from pipeline.mlflow.mirror import Tracker
     from pipeline.stages import STAGES, environments
-    from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.driver import drive
     from pipeline.workflow.progress import progress
     from tasks.discovery import FAILURES

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import Field, ValidationError, create_model, field_validator, model_serializer, model_validator
 
 from tasks.analysis.tank import Tank
+from tasks.bench.tracks.conventions import Tracks
 from tasks.design import Morphology
 from tasks.evolution import (
     OBJECTIVES,
@@ -30,7 +31,6 @@ from tasks.parameters import Parameters, later_choice
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
 from tasks.residual.wetted import acts_above_water
-from tasks.tracks.conventions import Tracks
 from tasks.world import ENVIRONMENTS, TANK_MODEL, EnvironmentName, Medium, Physics, Slush, environment_kind, in_order
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET

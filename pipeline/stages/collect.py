@@ -16,6 +16,7 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import OMIT_DEFAULT, InputName
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Results, Sources, Stage, Summary, Upstream
+from tasks.bench.tracks import Tracks, residual_transitions
 from tasks.residual import (
     OBSERVATION,
     STATE,
@@ -28,7 +29,6 @@ from tasks.residual import (
     simulate_throws,
 )
 from tasks.seeding import generator, replicate_seed
-from tasks.tracks import Tracks, residual_transitions
 from tasks.world import EnvironmentName, Physics
 from tasks.world.slush import PAPERS_TARGET
 

@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pipeline.config.settings import Settings
+from pipeline.mlflow.run import CurvePoints
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.data_sets import networks_of
 from pipeline.stages.segments import SegmentSpec, TrialSpec
 from pipeline.store.design_file import design_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, trials_of
 from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, Upstream
 

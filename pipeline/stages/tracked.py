@@ -17,11 +17,11 @@ from pipeline.store.encoding import digest, encode_json
 from pipeline.store.track_file import content_of, read_bars, read_track_table
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Inputs, OutsideFile
-from tasks.tracks import Bars, TrackError, Tracks, TrackTable
-from tasks.tracks.bars import TrackedBarError
-from tasks.tracks.free_fall import Fall, falls_oddly
-from tasks.tracks.residuals import TrackReport, check_throws
-from tasks.tracks.table import Paths, length_scale_of, time_scale_of
+from tasks.bench.tracks import Bars, TrackError, Tracks, TrackTable
+from tasks.bench.tracks.bars import TrackedBarError
+from tasks.bench.tracks.free_fall import Fall, falls_oddly
+from tasks.bench.tracks.residuals import TrackReport, check_throws
+from tasks.bench.tracks.table import Paths, length_scale_of, time_scale_of
 from tasks.world import TANK_MODEL
 
 TRACK_REPORT = "tracks.json"  # what the tracks are like

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.config.settings import Settings
+from pipeline.mlflow.run import CurvePoints
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
 from pipeline.stages.data_sets import NetworkId, network_ids
 from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS
@@ -15,7 +16,6 @@ from pipeline.store.encoding import decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
-from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.residual import Architecture, ErrorRow, Training

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from pipeline.config.settings import Settings
+from pipeline.mlflow.run import CurvePoints
 from pipeline.report.render import as_text
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.data_sets import networks_of
@@ -19,7 +20,6 @@ from pipeline.stages.trial_scores import SCORE, TrialScores, decode_scores, enco
 from pipeline.store.design_file import design_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, trials_of
 from pipeline.workflow.stage import (
     Chain,

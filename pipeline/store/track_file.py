@@ -19,7 +19,7 @@ from pipeline.errors import PuddleError
 from pipeline.store.design_file import read_parquet
 from pipeline.store.file_kinds import TRACKERS, decode, told_by
 from tasks.arrays import Labels
-from tasks.tracks import Bars, TrackTable
+from tasks.bench.tracks import Bars, TrackTable
 
 TRACK_COLUMNS = ("throw", "time", "x", "y", "angle")
 DEVIATION_COLUMNS = ("x_sd", "y_sd", "angle_sd")

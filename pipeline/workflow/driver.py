@@ -24,7 +24,7 @@ from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror
 
 if TYPE_CHECKING:
-    from pipeline.tracking.mirror import Tracker
+    from pipeline.mlflow.mirror import Tracker
 
 
 def drive(

@@ -16,11 +16,11 @@ from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
+from pipeline.mlflow.run import CurvePoints
 from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.track_file import content_of
-from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId, to_json
 
 ChainSpecT = TypeVar("ChainSpecT")

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
+from pipeline.mlflow.run import CurvePart, CurvePoints, Run
 from pipeline.store.encoding import canonical_json, digest
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.tracking.run import CurvePart, CurvePoints, Run
 from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.identity import ChainId, TrialId
 from pipeline.workflow.record import preset_of
 from pipeline.workflow.stage import AnyStage, Failure, Results, Summary
 
 if TYPE_CHECKING:
-    from pipeline.tracking.mirror import Tracker
+    from pipeline.mlflow.mirror import Tracker
 
 SECONDS_BETWEEN_UPDATES = 15.0  # so that a segment is in MLflow within 30 s of its commit
 SECONDS_OF_SILENCE = 2.0  # time that the end may wait before it tells the user what for [s]

@@ -88,7 +88,7 @@ class Tank(Parameters):
     def simulated_servo_torque(self, link_density: float) -> float:
         """Return the servo's torque at the scale of the simulation [N·m], for links of a density [kg/m²].
 
-        Torques scale as weight times length, under the same gravity; see tasks/fabrication/scaling.py.
+        Torques scale as weight times length, under the same gravity; see tasks/bench/fabrication/scaling.py.
         """
         mass_of_a_link = self.robot_density * self.scale**2 * 2 * self.pontoon_thickness  # of 1 m² when simulated [kg]
         return self.servo_torque * link_density / (mass_of_a_link * self.scale)

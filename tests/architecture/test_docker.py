@@ -1,7 +1,7 @@
 """The container files conform to their schemas and agree with the project: versions, files, commands, open ports.
 
 Ray's head, its workers and the driver are run with the commands of these files in tests/torture/test_two_machines.py,
-MLflow's server in tests/pipeline/tracking/test_server.py.
+MLflow's server in tests/pipeline/mlflow/test_server.py.
 """
 
 import re

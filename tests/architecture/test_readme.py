@@ -13,7 +13,7 @@ import yaml
 from pipeline.commands.app import app
 from pipeline.commands.options import StudyOptions
 from pipeline.config.loading import parse
-from tasks.fabrication.kit_settings import FabricationSettings
+from tasks.bench.fabrication.kit_settings import FabricationSettings
 
 ROOT = Path(__file__).parents[2]
 PAGES = {

@@ -22,7 +22,7 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(tmp_pat
     needed += [
         str(path.relative_to(ROOT)) for kind in ("html", "css", "js") for path in ROOT.glob(f"pipeline/*/*.{kind}")
     ]
-    needed += [f"pipeline/fabrication/guides/{name}" for name in ("assembly.md", "servo.md", "servo-wiring.svg")]
+    needed += [f"pipeline/bench/fabrication/guides/{name}" for name in ("assembly.md", "servo.md", "servo-wiring.svg")]
     assert {"pipeline/constraints.txt", "pipeline/py.typed", "puddle/py.typed", "tasks/py.typed", *needed} <= names
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"pipeline", "puddle", "tasks"}
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.tracking import mirror
-from pipeline.tracking.database import database_uri
+from pipeline.mlflow import mirror
+from pipeline.mlflow.database import database_uri
 
 _open_experiment = mirror._open_experiment
 

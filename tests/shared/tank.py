@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tasks.bench.tracks import Bars, TrackTable
 from tasks.residual import Throws, initial_states
 from tasks.simulation.free_links import FreeLinks
-from tasks.tracks import Bars, TrackTable
 from tasks.world import Medium, Physics, Slush, froude_time
 
 SCALE = 0.07

@@ -120,7 +120,7 @@ def on_machines_that_change(folder: Path, half_way: int) -> None:
         own_settings = {'--preset "${PRESET}"': f"--settings {folder / 'two.yaml'}"}
         study = words_of("driver", {"ray start": beside, "head:6379": address, **own_settings, **SMALL_MEMORY})
         of_driver = environment_of("driver", {**token, "PUDDLE_STORE": str(folder / "store"), "PRESET": "smoke"})
-        del of_driver["MLFLOW_TRACKING_URI"]  # tests/pipeline/tracking/test_server.py tests the server
+        del of_driver["MLFLOW_TRACKING_URI"]  # tests/pipeline/mlflow/test_server.py tests the server
         driver = start("driver", study, {**without_token, **of_driver})
         driver.wait_for(enough, 480)
         os.killpg(second.process.pid, signal.SIGKILL)

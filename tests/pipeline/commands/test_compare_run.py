@@ -12,17 +12,17 @@ import pytest
 import yaml
 from command_line import call as called
 
+from pipeline.bench.fabrication.kit_files import KIT, write_folder
+from pipeline.bench.vision.markers_file import RobotTags, markers_of
 from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
-from pipeline.fabrication.kit_files import KIT, write_folder
 from pipeline.report.run_page import verdict
 from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_json
-from pipeline.vision.markers_file import RobotTags, markers_of
 from tasks.analysis.built_run import RunComparison, SteadyRun, steady_speed
-from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
-from tasks.fabrication.throwing_bars import throwing_bars
-from tasks.fabrication.timeline import Playback
+from tasks.bench.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
+from tasks.bench.fabrication.throwing_bars import throwing_bars
+from tasks.bench.fabrication.timeline import Playback
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush, Slush, TrueSlush, froude_time
 

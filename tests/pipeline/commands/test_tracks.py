@@ -16,8 +16,8 @@ from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import open_study
 from pipeline.stages.collect import COLLECT, TRANSITIONS, read_transitions
 from pipeline.stages.tracked import check_tracks, report_lines, with_tracks
+from tasks.bench.tracks import Tracks, residual_transitions
 from tasks.residual import MeasuredTransitions
-from tasks.tracks import Tracks, residual_transitions
 
 SETTINGS = """name: tank
 network: {hidden_layers: 1, width: 4}

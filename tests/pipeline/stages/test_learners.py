@@ -9,9 +9,9 @@ from command_line import WITHOUT_MLFLOW, call
 from small_study import TINY
 
 import puddle
+from pipeline.bench.fabrication.source import proposed
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
-from pipeline.fabrication.source import proposed
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
 from pipeline.store.design_file import design_json

@@ -21,10 +21,10 @@ from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, OutputId
 from tasks.analysis.tables import ANALYSES
+from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.servos import SERVOS
 from tasks.design import Designs
 from tasks.evolution import OPERATORS
-from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.servos import SERVOS
 from tasks.world.physics import froude_time
 
 SMALL = (

@@ -9,8 +9,8 @@ import pytest
 from command_line import call
 from small_study import TINY, Terminal
 
+import pipeline.mlflow.mirror
 import pipeline.stages
-import pipeline.tracking.mirror
 from pipeline.commands.terminal import INCOMPLETE
 from pipeline.stages import STAGES
 from pipeline.stages.collect import read_transitions, throws_among
@@ -26,7 +26,7 @@ SETTINGS = (
 
 @pytest.fixture
 def options(tmp_path, monkeypatch) -> tuple[str, ...]:
-    monkeypatch.setattr(pipeline.tracking.mirror, "Tracker", lambda *_, **__: Terminal())
+    monkeypatch.setattr(pipeline.mlflow.mirror, "Tracker", lambda *_, **__: Terminal())
     (tmp_path / "tiny.yaml").write_text(TINY)
     changes = [word for change in SETTINGS for word in ("--set", change)]
     return "--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"), *changes

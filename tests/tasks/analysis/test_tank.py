@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tasks.analysis.tank import Crossings, Tank, TankTrials, count_crossings, crossings, nearest_the_mean, restarted
+from tasks.bench.fabrication.scaling import Scaling, scales_of
+from tasks.bench.fabrication.servos import KG_CM
 from tasks.design import random_designs
-from tasks.fabrication.scaling import Scaling, scales_of
-from tasks.fabrication.servos import KG_CM
 from tasks.simulation import OK, Rollouts
 
 DT, N_SETTLE = 0.1, 3

@@ -1,0 +1,334 @@
+"""``puddle track``: videos of a tank become a tracks file, with a film that shows what was found."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.bench.vision import require_vision
+from pipeline.bench.vision.check_film import write_check_film
+from pipeline.bench.vision.markers_file import Markers, TaggedBar
+from pipeline.bench.vision.tags import Detector, lens_of_board
+from pipeline.bench.vision.video import frames
+from pipeline.errors import PuddleError
+from pipeline.store import disk
+from pipeline.store.tables import Columns, csv_of
+from tasks.arrays import Float64, Ints
+from tasks.bench.tracks.repeats import repeated
+from tasks.bench.vision.bar_pose import BarPose, corner_noise, fit_bar, tag_corners
+from tasks.bench.vision.plane import CalibrationError, Lens, SeenPlane, assumed_lens, fit_plane
+from tasks.bench.vision.throw_spans import MIN_FRAMES, throw_spans
+
+_MOST_MISFIT_PX = 2.0  # of the tank's corners; paper bends, but not by more
+_MOST_BAR_MISFIT_PX = 1.0  # of a bar's corners in its median frame; sharp ones are seen to a tenth of that
+_MOVES = 6.0  # deviations by which a bar that moves is farther on in the next picture
+_MOST_SHIFT_PX = 1.5  # of a tank tag between the halves of a video
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """What a user may choose of the tracking."""
+
+    lens_video: Path | None = None
+    """Video of the printed board; None assumes a lens and fits its k1 to the tank's tags."""
+    slowdown: float = 1.0
+    """How many times slower than life the videos play: 8 for 240 frames per second stored at 30."""
+    robot: bool = False
+    """Whether the tags of a robot's links are tracked, through the whole video, instead of thrown bars."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One throw of one bar, or one link of a robot, in one video."""
+
+    throw: int  # number of the throw, or of the link
+    bar: TaggedBar
+    frame: Ints  # (n,) indices of the frames in which it is seen
+    time: Float64  # (n,) [s]
+    pose: Float64  # (n, 3) x, y over the waterline [m] and angle [rad], unwrapped
+    deviation: Float64  # (n, 3) standard deviations of the pose
+    n_lost: int  # frames between its first and its last in which it is not seen
+    n_repeated: int  # frames that repeat the picture before, and are left out
+    lost_from_sight: bool  # whether it ends because the bar is not seen, rather than outside the zone or at rest
+
+
+@dataclass(frozen=True, eq=False)
+class VideoTracks:
+    """What one video holds."""
+
+    path: Path
+    size: tuple[int, int]  # width and height of its pictures [px]
+    plane: SeenPlane  # in metres from the waterline
+    tracks: tuple[Track, ...]
+    rate: float  # frames per second
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sightings:
+    """The tags in every frame of a video."""
+
+    path: Path
+    size: tuple[int, int]  # width and height of the pictures [px]
+    time: Float64  # (n_frames,) [s]
+    tags: list[dict[int, Float64]]
+
+
+def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: TrackOptions) -> list[str]:
+    """Track the bars in videos; write the tracks file (NAME.csv), NAME-bars.csv, and NAME-check.mp4 of each video.
+
+    Throws are numbered on from one video to the next. Returns lines for the terminal. Raises PuddleError if a video
+    can't be read or calibrated, or holds no throw; nothing was written.
+    """
+    if out.suffix != ".csv" or not out.parent.is_dir() or out.is_dir():
+        raise PuddleError(f"--out: expected a file name that ends in .csv, in an existing folder, got {out}")
+    tracked, lines = follow(videos, markers, options)
+    films = [out.with_name(f"{out.stem}-check{f'-{i + 1}' * (len(videos) > 1)}.mp4") for i in range(len(videos))]
+    with contextlib.ExitStack() as unwanted:
+        temporary = [path.with_name(f".{path.name}.new.mp4") for path in films]
+        for path in temporary:
+            unwanted.callback(path.unlink, missing_ok=True)
+        for video, path in zip(tracked, temporary, strict=True):
+            write_check_film(path, video)
+        for path, final in zip(temporary, films, strict=True):
+            path.replace(final)
+        every = [track for video in tracked for track in video.tracks]
+        disk.place(out, csv_of(tracks_table(every)))
+        written = [out, *films]
+        if not options.robot:
+            bars = out.with_name(f"{out.stem}-bars.csv")
+            disk.place(bars, csv_of(_bars_table(every)))
+            written.insert(1, bars)
+    return [*lines, f"written: {', '.join(map(str, written))}"]
+
+
+def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> tuple[list[VideoTracks], list[str]]:
+    """Track the bars in videos, or a robot in one. Returns what each video holds, and lines for the terminal.
+
+    Raises PuddleError if a video can't be read or calibrated, or holds nothing to track.
+    """
+    require_vision()
+    if options.robot and len(videos) > 1:
+        raise PuddleError(f"--robot: expected one video of one run, got {len(videos)}")
+    lines: list[str] = []
+    lens, lens_size = None, None
+    if options.lens_video is not None:
+        lens, lens_size, line = lens_of_board(options.lens_video, markers)
+        lines.append(line)
+    tracked: list[VideoTracks] = []
+    for path in videos:
+        sightings = _sightings(path, markers, options.slowdown)
+        if lens_size is not None and lens_size != sightings.size:
+            film, board = ("{} × {}".format(*size) for size in (sightings.size, lens_size))
+            raise PuddleError(
+                f"{path}: its pictures have {film} px, those of {options.lens_video} {board}: film the board with the "
+                f"same camera, zoom and size as the throws"
+            )
+        first = sum(len(video.tracks) for video in tracked)
+        tracked.append(_tracked(sightings, markers, lens, options, first))
+        lines += tracked[-1].lines
+    if not any(video.tracks for video in tracked):
+        what = "link of a robot" if options.robot else "throw"
+        advice = (
+            f"Its tags have the numbers from {markers.robot.first} on, see `robot` in the markers file."
+            if options.robot
+            else "A throw begins where all tags of a bar are seen inside the rectangle of the tank's corner tags, and "
+            f"lasts at least {MIN_FRAMES} frames."
+        )
+        names = ", ".join(map(str, videos))
+        raise PuddleError(f"{names}: expected at least one {what}, found none. {advice}")
+    return tracked, lines
+
+
+def tracks_table(tracks: Sequence[Track]) -> Columns:
+    """Lay out tracks as the columns of a tracks file."""
+    pose, deviation = (np.concatenate([getattr(track, name) for track in tracks]) for name in ("pose", "deviation"))
+    columns: Columns = {
+        "throw": np.concatenate([np.full(len(track.time), track.throw) for track in tracks]),
+        "time": np.concatenate([track.time for track in tracks]).round(7),
+    }
+    columns |= {name: pose[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
+    return columns | {f"{name}_sd": deviation[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
+
+
+def _bars_table(tracks: Sequence[Track]) -> Columns:
+    columns: Columns = {"throw": np.array([track.throw for track in tracks])}
+    return columns | {
+        name: np.array([getattr(track.bar, name) for track in tracks]) for name in ("length", "width", "mass")
+    }
+
+
+def _sightings(path: Path, markers: Markers, slowdown: float) -> _Sightings:
+    """Find the tags of a video."""
+    detector, time, tags, size = Detector(markers), [], [], (0, 0)
+    for frame in frames(path):
+        tags.append(detector.find(frame.picture, f"{path}: frame {frame.index}"))
+        time.append(frame.time / slowdown)
+        size = (frame.picture.shape[1], frame.picture.shape[0])
+    if not any(tags):
+        raise PuddleError(
+            f"{path}: expected tags of the markers file, found none in {len(tags)} frames. Check `dictionary` "
+            f"({markers.dictionary}); tags need white paper around them, light, and 4 px for each of their squares. A "
+            f"mirrored video shows none."
+        )
+    return _Sightings(path, size, np.array(time), tags)
+
+
+def _tracked(
+    sightings: _Sightings, markers: Markers, lens: Lens | None, options: TrackOptions, first: int
+) -> VideoTracks:
+    """Calibrate a video and fit the poses of its bars."""
+    plane, misfit = _plane(sightings, markers, lens)
+    over_water = np.array([(tag.x, tag.y - markers.tank.waterline) for tag in markers.tank.corners])
+    low, high = over_water.min(axis=0), over_water.max(axis=0)
+    time, n_frames = sightings.time, len(sightings.time)
+    interval = float(np.median(np.diff(time))) if n_frames > 1 else 1.0
+    bars = markers.robot.bars() if options.robot else markers.bars
+    fits = [_fits(sightings, plane, bar) for bar in bars]
+    found = [fit for of_bar in fits for fit in of_bar.values()]
+    typical, noise = 0.0, np.zeros(0)
+    if found:
+        typical, noise = corner_noise(np.array([fit.chi2 for fit in found]), np.array([fit.freedom for fit in found]))
+    noises = iter(noise.tolist())
+    tracks: list[Track] = []
+    for number, (bar, of_bar) in enumerate(zip(bars, fits, strict=True)):
+        pose, deviation, px = np.zeros((n_frames, 3)), np.zeros((n_frames, 3)), np.zeros(n_frames)
+        for frame, fit in of_bar.items():
+            pose[frame], px[frame] = fit.pose, next(noises)
+            deviation[frame] = px[frame] * np.sqrt(np.diag(fit.covariance))
+        n_shown = [sum(tag.number in tags for tag in bar.tags) for tags in sightings.tags]
+        n_seen = np.array([n if frame in of_bar else 0 for frame, n in enumerate(n_shown)])
+        if options.robot:
+            spans: list[Ints] = [np.flatnonzero(n_seen)] if n_seen.any() else []
+        else:
+            in_zone = ((pose[:, :2] >= low) & (pose[:, :2] <= high)).all(axis=1)
+            spans = throw_spans(time, n_seen, pose, in_zone, n_tags=len(bar.tags))
+        for span in spans:
+            unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
+            n_lost = int(span[-1] - span[0] + 1 - len(span))
+            lost_from_sight = bool((n_seen[span[-1] + 1 : span[-1] + 2] == 0).any())
+            noise_of_span = np.median(deviation[span], axis=0)
+            again = repeated(unwrapped, noise_of_span, _MOVES * noise_of_span)
+            new = span[~again]
+            if len(new) >= MIN_FRAMES or options.robot:
+                counts = n_lost, int(again.sum()), lost_from_sight
+                tracks.append(Track(number, bar, new, time[new], unwrapped[~again], deviation[new], *counts))
+    if not options.robot:
+        tracks.sort(key=lambda track: track.time[0])
+        tracks = [replace(track, throw=first + i) for i, track in enumerate(tracks)]
+    lines = _lines(sightings, tracks, misfit, typical, interval, options.robot)
+    return VideoTracks(sightings.path, sightings.size, plane, tuple(tracks), 1 / interval, tuple(lines))
+
+
+def _lines(
+    sightings: _Sightings, tracks: Sequence[Track], misfit: float, noise: float, interval: float, robot: bool
+) -> list[str]:
+    name = sightings.path.name
+    n_dropped = int(np.maximum(np.round(np.diff(sightings.time) / interval) - 1, 0).sum())
+    seen, lost = sum(len(track.time) for track in tracks), sum(track.n_lost for track in tracks)
+    lines = [
+        f"{name}: {len(sightings.time)} frames, {1 / interval:.1f} per second, {n_dropped} dropped by the camera; the "
+        f"tank's tags fit to {misfit:.2f} px"
+    ]
+    if tracks:
+        x, _, angle = np.median(np.concatenate([track.deviation for track in tracks]), axis=0)
+        what = f"{len(tracks)} links" if robot else f"{len(tracks)} throws"
+        lines.append(
+            f"{name}: {what}, lost in {lost} of {seen + lost} frames ({lost / (seen + lost):.1%}); corners to "
+            f"{noise:.2f} px, which is {1000 * x:.2f} mm and {np.degrees(angle):.2f}°"
+        )
+    if n_repeated := sum(track.n_repeated for track in tracks):
+        rate = 1 / np.median(np.concatenate([np.diff(track.time) for track in tracks]))
+        lines.append(
+            f"{name}: {n_repeated} frames repeat the one before, and are left out: {rate:.1f} a second are new"
+        )
+    n_cut = sum(track.lost_from_sight for track in tracks)
+    if n_cut and not robot:
+        lines.append(f"{name}: in {n_cut} throws the bar is lost from sight inside the tank; see the check film")
+    return lines
+
+
+def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, BarPose]:
+    """Fit a bar in every frame that shows one of its tags.
+
+    A bar whose corners do not fit the markers file is refused: the fits would take what is wrong there for noise.
+    """
+    own = {tag.number: tag_corners(tag.size, tag.across, tag.along) for tag in bar.tags}
+    fits: dict[int, BarPose] = {}
+    for frame, tags in enumerate(sightings.tags):
+        if shown := [number for number in own if number in tags]:
+            pixels = np.concatenate([tags[number] for number in shown])
+            corners = np.concatenate([own[number] for number in shown])
+            fit = fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels))
+            if np.isfinite([*fit.pose, fit.chi2]).all():
+                fits[frame] = fit
+    squares = [fit.chi2 / fit.freedom for fit in fits.values()]
+    if squares and (misfit := float(np.sqrt(np.median(squares)))) > _MOST_BAR_MISFIT_PX:
+        for tags in sightings.tags:
+            _check_turns(sightings.path, {number: tags[number] for number in own if number in tags})
+        numbers = " and ".join(str(tag.number) for tag in bar.tags)
+        raise PuddleError(
+            f"{sightings.path}: the bar with tag{'s' * (len(bar.tags) > 1)} {numbers}: its corners fit to {misfit:.1f} "
+            f"px, expected at most {_MOST_BAR_MISFIT_PX:g}: measure its tags (size, along, across) and the tank's (x, "
+            f"y, tag_size) again, and see that no two tags were exchanged"
+        )
+    return fits
+
+
+def _check_turns(path: Path, tags: Mapping[int, Float64]) -> None:
+    """Refuse tags of one thing that are turned against each other by quarter turns."""
+    up = [(number, complex(*(four[0] + four[1] - four[2] - four[3]))) for number, four in tags.items()]
+    for number, direction in up[1:]:
+        if n_quarters := abs(round(np.angle(direction / up[0][1]) / (np.pi / 2))):
+            raise PuddleError(
+                f"{path}: tag {number} is turned by {90 * n_quarters}° against tag {up[0][0]}: expected both upright: "
+                f"glue them as their sheet shows"
+            )
+
+
+def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[SeenPlane, float]:
+    """Fit the plane of the tank's tags in metres from the waterline; returns the distances left, too [px]."""
+    path, tank = sightings.path, markers.tank
+    seen = [_still(sightings, tag.number) for tag in tank.corners]
+    metres = np.concatenate([tag_corners(tank.tag_size, tag.x, tag.y - tank.waterline) for tag in tank.corners])
+    try:
+        chosen = assumed_lens(*sightings.size) if lens is None else lens
+        plane, misfit = fit_plane(metres, np.concatenate(seen), chosen, radial=lens is None)
+    except (CalibrationError, np.linalg.LinAlgError) as error:
+        raise PuddleError(f"{path}: the tank's tags: {error}. Check `tank` in the markers file.") from None
+    if not misfit <= _MOST_MISFIT_PX:
+        _check_turns(path, {tag.number: four for tag, four in zip(tank.corners, seen, strict=True)})
+        off = np.linalg.norm(plane.pixels(metres) - np.concatenate(seen), axis=1).reshape(-1, 4).max(axis=1)
+        worst = tank.corners[int(off.argmax())].number
+        raise PuddleError(
+            f"{path}: frames 0 to {len(sightings.time) - 1}: the tank's tags do not lie where the markers file says: "
+            f"{misfit:.1f} px are left, expected at most {_MOST_MISFIT_PX:g}; tag {worst} is {off.max():.1f} px away. "
+            f"Measure the centres of the tags and tag_size again, and lay the tags flat."
+        )
+    return plane, misfit
+
+
+def _still(sightings: _Sightings, number: int) -> Float64:
+    """Return the (4, 2) median corners of a tag that does not move [px]."""
+    path = sightings.path
+    where = [i for i, tags in enumerate(sightings.tags) if number in tags]
+    if not where:
+        others = ", ".join(str(one) for one in sorted({one for tags in sightings.tags for one in tags}))
+        raise PuddleError(
+            f"{path}: tag {number} of the tank is seen in no frame of 0 to {len(sightings.tags) - 1}; seen are "
+            f"{others}. All corner tags must be in the picture, upright, flat and lit."
+        )
+    corners = np.array([sightings.tags[i][number] for i in where])
+    halves = np.array_split(corners, 2) if len(where) > 1 else [corners, corners]
+    shift = np.linalg.norm(np.median(halves[1], axis=0) - np.median(halves[0], axis=0), axis=1).max()
+    if shift > _MOST_SHIFT_PX:
+        raise PuddleError(
+            f"{path}: tag {number} of the tank moved by {shift:.1f} px between frames {where[0]} and {where[-1]}: "
+            f"expected at most {_MOST_SHIFT_PX:g}. Fix camera and tank, switch off the stabiliser, or cut the video in "
+            f"two where it was knocked."
+        )
+    return np.asarray(np.median(corners, axis=0))

@@ -1,0 +1,103 @@
+"""Settings of ``puddle fabricate``. [P] marks values from the paper; lengths are in mm."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator
+
+from tasks.bench.fabrication.scaling import Scaling
+from tasks.bench.fabrication.servos import MEASURES, HornKind
+from tasks.bench.fabrication.timeline import Playback
+from tasks.parameters import Parameters, later_choice
+
+
+class KitSettings(Parameters):
+    """Settings that turn a design into printed parts."""
+
+    scale_mm_per_m: float = Field(default=70.0, ge=10.0, le=1000.0)
+    """Bench millimetres per metre of simulation. [P]"""
+    thickness_mm: float = Field(default=25.0, ge=15.0, le=100.0)
+    """Thickness of every part. [P]"""
+    pitch_mm: float = Field(default=300.0, ge=150.0, le=1000.0)
+    """Distance from one pontoon to the other. [P]"""
+    servo: str = "ds3225"
+    """Name in the servo library. The paper's servo has 20 kg·cm, as the pdi6221mg."""
+    horn: HornKind = "disc"
+    """Kind of horn."""
+    measured: dict[str, NonNegativeFloat] = Field(default_factory=dict)
+    """Caliper readings that replace the library's dimensions, such as {length_mm: 40.1}; a kit's page lists them."""
+    servos_per_joint: Literal[1, 2] = 1
+    """1: a servo in one pontoon, a pin in the other, which the rods take along [P]; 2: a servo in each."""
+    layer_gap_mm: float = Field(default=1.0, ge=0.3, le=5.0)
+    """Gap between the two layers of a pontoon."""
+    servo_clearance_mm: float = Field(default=0.3, ge=0.0, le=2.0)
+    """Clearance on every side of a servo or horn; printed pockets come out small."""
+    rod_mm: float = Field(default=3.0, ge=1.0, le=10.0)
+    """Diameter of the rods. [P]"""
+    rod_clearance_mm: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Added to a rod's diameter where it is glued or pressed in."""
+    pivot_clearance_mm: float = Field(default=0.3, ge=0.05, le=1.0)
+    """Added to a pin's diameter where a part turns on it."""
+    sweep_clearance_mm: float = Field(default=1.0, ge=0.0, le=10.0)
+    """Clearance between a moving part and anything that it must not touch."""
+    wall_mm: float = Field(default=3.0, ge=0.8, le=10.0)
+    """Wall of a boss around a servo, a horn or a rod."""
+    min_wall_mm: float = Field(default=1.2, ge=0.4, le=5.0)
+    """Thinnest wall that prints well: three lines of a 0.4 mm nozzle. A thinner one is a fault."""
+    min_neck_mm: float = Field(default=8.0, ge=0.0, le=50.0)
+    """Narrowest place of an outline that is strong enough."""
+    fillet_mm: float = Field(default=5.0, ge=0.0, le=20.0)
+    """Radius in the inner corners of an outline; smaller where it does not fit."""
+    bed_mm: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (220.0, 220.0, 250.0)
+    """Width, depth and height of the printer. Larger parts are split by dovetails."""
+    bed_margin_mm: float = Field(default=5.0, ge=0.0, le=50.0)
+    """Margin along the edges of the bed."""
+    split_clearance_mm: float = Field(default=0.2, ge=0.0, le=1.0)
+    """Clearance between the two sides of a dovetail."""
+    infill: float = Field(default=0.45, gt=0.0, le=1.0)
+    """Share of the interior that is printed. [P]"""
+    shell_mm: float = Field(default=0.8, ge=0.0, le=5.0)
+    """Solid plastic along every surface: two lines of a 0.4 mm nozzle."""
+    pla_density_g_cm3: float = Field(default=1.24, gt=0.5, le=3.0)
+    """Density of PLA."""
+    steel_density_g_cm3: float = Field(default=7.9, gt=1.0, le=20.0)
+    """Density of the stainless steel rods."""
+
+    @field_validator("measured")
+    @classmethod
+    def _check_names(cls, measured: dict[str, float]) -> dict[str, float]:
+        if unknown := sorted(measured.keys() - MEASURES.keys()):
+            raise ValueError(f"expected names of {', '.join(MEASURES)}; got {', '.join(unknown)}")
+        return measured
+
+    @property
+    def pin_length_mm(self) -> float:
+        """Length of a pin: both layers and the gap."""
+        return 2 * self.thickness_mm + self.layer_gap_mm
+
+
+class ThrowingKit(Parameters):
+    """Settings of a kit of bars to throw, with the tank that they are thrown into."""
+
+    lengths: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 1.5, 2.0, 3.0), min_length=3)
+    """Long axes of the simulated links [m]; robots have 1 to 3 m."""
+    density_ratio: float = Field(default=0.8, gt=0.0, le=10.0)
+    """Density of a bar over that of the fluid; a link of 1 kg/m² floats in slush of 1.25."""
+    tank_length: float = Field(default=1.17, gt=0.0, le=100.0)
+    """From tag to tag along the front of the tank, between centres [m]; the paper's tank. [P]"""
+    tank_height: float = Field(default=0.27, gt=0.0, le=100.0)
+    """From tag to tag upward, between centres [m]. [P]"""
+    waterline: float = Field(default=0.15, ge=-100.0, le=100.0)
+    """Height of the water over the centres of the lower tags [m]. [P]"""
+
+
+class FabricationSettings(Parameters):
+    """Settings of a kit and its run on the bench, separate from a study's."""
+
+    kit: KitSettings = KitSettings()
+    """Parts, servo and printer."""
+    scaling: Scaling = Scaling()
+    """Scaling from simulation to bench."""
+    playback: Playback = Playback()
+    """The run on the bench."""
+    throwing: ThrowingKit = later_choice(ThrowingKit())
+    """Bars to throw, for `puddle fabricate --throwing-kit`."""

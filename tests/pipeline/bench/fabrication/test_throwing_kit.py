@@ -1,0 +1,86 @@
+"""puddle fabricate --throwing-kit: a folder whose tags, printed and filmed, are where its markers file says."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from command_line import call
+from PIL import Image
+
+from pipeline.bench.vision.markers_file import Markers
+from pipeline.config.loading import load
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory):
+    pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
+    folder = tmp_path_factory.mktemp("throwing") / "kit"
+    assert call("fabricate", "--throwing-kit", "--out", str(folder)) == 0
+    return folder
+
+
+def test_every_file_is_there_and_every_link_leads_somewhere(kit):
+    held = {str(path.relative_to(kit)) for path in kit.rglob("*") if path.is_file()}
+    manifest = json.loads((kit / "throwing-kit.json").read_text())
+    assert held == {*manifest["files"], "throwing-kit.json"}
+    page = (kit / "index.html").read_text()
+    links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
+    assert len(links) >= 10 and links <= held
+    pdf = (kit / "tags.pdf").read_bytes()
+    assert pdf.count(b"/Type /Page\n") == len(list(kit.glob("*.png"))) and b"/MediaBox [ 0 0 595.2" in pdf  # 210 mm
+    rows = list(csv.DictReader(io.StringIO((kit / "bars.csv").read_text())))
+    assert [row["mass_g"] for row in rows] == ["196.0"] * 4
+
+
+def test_throws_are_spread_over_what_bars_and_tank_allow(kit):
+    throws = list(csv.DictReader(io.StringIO((kit / "throws.csv").read_text())))
+    bars = {row["name"] for row in csv.DictReader(io.StringIO((kit / "bars.csv").read_text()))}
+    heights = [float(row["y_mm"]) for row in throws]
+    assert len(throws) == 64 and {row["bar"] for row in throws} == bars
+    assert -150 <= min(heights) < -130 and 100 < max(heights) <= 120  # as far as the tank's tags reach
+    assert 0.9 < max(float(row["vx_m_s"]) for row in throws) < 1.6
+
+
+@pytest.mark.parametrize("sheet", ["faces", "tags", "board"])
+def test_printed_tags_have_the_size_that_the_markers_file_says(kit, sheet):
+    from pipeline.bench.vision.tags import Detector
+
+    markers = load(Markers, kit / "markers.yaml")
+    picture = Image.open(kit / f"{sheet}.png")
+    assert picture.info["dpi"] == pytest.approx((300, 300), abs=0.01)
+    per_mm = 300 / 25.4
+    size = {tag.number: tag.size for bar in (*markers.bars, *markers.robot.bars()) for tag in bar.tags}
+    size |= {tag.number: markers.tank.tag_size for tag in markers.tank.corners}
+    found = Detector(markers).find(np.array(picture.convert("L")), sheet)
+    expected = {
+        "faces": {tag.number for bar in markers.bars for tag in bar.tags},
+        "tags": {tag.number for tag in markers.tank.corners} | set(range(20, 26)),
+        "board": set(),
+    }
+    assert found.keys() == expected[sheet]
+    for number, corners in found.items():
+        edges = np.linalg.norm(np.roll(corners, 1, axis=0) - corners, axis=1) / per_mm
+        assert edges == pytest.approx(np.full(4, 1000 * size[number]), abs=0.2), number
+    for bar in markers.bars if sheet == "faces" else ():
+        up, down = (found[tag.number].mean(axis=0) for tag in bar.tags)
+        assert (down - up) / per_mm == pytest.approx((0, 1000 * (bar.tags[0].along - bar.tags[1].along)), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("docs/design.json",), "expected no design, --study or --preset"),
+        (("--set", "kit.rod_mm=6"), "bar-70: too heavy at any infill"),
+        (("--set", "kit.scale_mm_per_m=200", "--set", "kit.rod_mm=10"), "does not fit on A4"),
+    ],
+)
+def test_a_mistake_is_one_message_and_no_kit(tmp_path, options, message, capsys):
+    pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
+    assert call("fabricate", "--throwing-kit", "--out", str(tmp_path / "kit"), *options) == 2
+    said = capsys.readouterr().err
+    assert message in said and not (tmp_path / "kit").exists()
