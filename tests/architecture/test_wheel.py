@@ -20,7 +20,7 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(tmp_pat
     names = set(zipfile.ZipFile(wheel).namelist())
     needed = [f"pipeline/presets/{path.name}" for path in (ROOT / "configs").glob("*.yaml")]
     needed += [
-        str(path.relative_to(ROOT)) for kind in ("html", "css", "js") for path in ROOT.glob(f"pipeline/*/*.{kind}")
+        str(path.relative_to(ROOT)) for kind in ("html", "css", "js") for path in ROOT.glob(f"pipeline/**/*.{kind}")
     ]
     needed += [f"pipeline/bench/fabrication/guides/{name}" for name in ("assembly.md", "servo.md", "servo-wiring.svg")]
     assert {"pipeline/constraints.txt", "pipeline/py.typed", "puddle/py.typed", "tasks/py.typed", *needed} <= names

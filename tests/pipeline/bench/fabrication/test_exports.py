@@ -15,7 +15,7 @@ from build123d import import_step
 from pipeline.bench.fabrication.assembly_drawing import assembly_drawing
 from pipeline.bench.fabrication.exports import exports
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 MESHED = 2e-3
 """Relative tolerance: facets miss curved faces by up to 0.05 mm, also in 3 mm holes."""
 

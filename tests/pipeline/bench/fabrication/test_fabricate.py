@@ -20,7 +20,7 @@ from pipeline.store.design_file import design_json, load_design
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import Designs
 
-BUILDABLE = Path(__file__).parents[3] / "docs/design-buildable.json"
+BUILDABLE = Path(__file__).parents[4] / "docs/design-buildable.json"
 
 
 @pytest.fixture(scope="module")
