@@ -7,7 +7,7 @@ reason. The pipeline nests the groups in its settings, so each parameter has one
 from collections.abc import Iterator
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 
 class Parameters(BaseModel):
@@ -23,19 +23,3 @@ class Parameters(BaseModel):
             field = type(self).model_fields.get(name or "")
             if field is None or value != field.get_default(call_default_factory=True):
                 yield name, value
-
-
-def later_choice(default: Any, *, gt: float | None = None, le: float | None = None) -> Any:
-    """Declare a field that results were computed without.
-
-    JSON omits it where it has its default, so the keys of those results stay as they are.
-
-    Args:
-        default: its value in those results.
-        gt: what a value must be greater than.
-        le: greatest value.
-
-    Returns:
-        What pydantic takes as the field's default.
-    """
-    return Field(default=default, exclude_if=lambda value: value == default, gt=gt, le=le)

@@ -104,7 +104,7 @@ class SettingsOptions:
     def __post_init__(self) -> None:
         """Refuse more than one source of settings, and import what they may name."""
         add(self.extensions or ())
-        options = {"--study": self.study, "--preset": self.preset, "--settings": self.settings_file}
+        options = {"study": self.study, "--preset": self.preset, "--settings": self.settings_file}
         if len(given := [f"{option} {value}" for option, value in options.items() if value is not None]) > 1:
             raise PuddleError(
                 f"expected only one of a study's name, --preset and --settings, got {' with '.join(given)}"
@@ -192,15 +192,7 @@ class SettingsOptions:
 class StudyOptions(SettingsOptions):
     """The same options for a command whose subject is the study: its name stands alone, as in `puddle status NAME`."""
 
-    name: OptionalStudy = None
-    study: Annotated[str | None, typer.Option("--study", hidden=True)] = None  # as in earlier versions
-
-    def __post_init__(self) -> None:
-        """Take the name as the study."""
-        if self.name is not None and self.study not in (None, self.name):
-            raise PuddleError(f"expected the name of one study, got {self.name} and --study {self.study}")
-        object.__setattr__(self, "study", self.name or self.study)
-        super().__post_init__()
+    study: OptionalStudy = None
 
 
 @dataclass(frozen=True)

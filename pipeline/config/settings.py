@@ -4,13 +4,12 @@ The defaults are the paper's study ([P] marks its values). A file in configs/ st
 scientific parameters are declared beside the equations that use them, in tasks/.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from operator import eq
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationError, create_model, field_validator, model_serializer, model_validator
+from pydantic import Field, ValidationError, create_model, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.bench.tracks.conventions import Tracks
@@ -27,7 +26,7 @@ from tasks.evolution import (
     Optimiser,
     SearchName,
 )
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
 from tasks.residual.wetted import acts_above_water
@@ -37,13 +36,6 @@ from tasks.world.slush import PAPERS_TARGET
 
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 DEEPEST = 1000.0  # greatest depth of the ground [m]
-
-IN_EVERY_RECORD = (
-    *("true_slush", "dry_land", "residual_slush", "single_member", "designed_throws", "designed_single_member"),
-    *("randomised_slush", "anisotropic_slush", "flowing_slush"),
-)
-"""Environments that every study records, used or not: keys of pages depend on them. Others, only a study that uses
-them."""
 
 Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
 
@@ -60,7 +52,7 @@ class EnsembleSettings(Parameters):
     """Number of independently initialised networks. [P]"""
     disagreement_penalty: float = Field(default=1.0, ge=0.0, le=100.0)
     """Weight k of disagreement in the fitness μ - k σ over members. [P]"""
-    deviation: Deviation = later_choice("population")
+    deviation: Deviation = "population"
     """What σ over n members is: the population's deviation, with n in its denominator, or the sample's, with n - 1,
     which is 7 % larger for 8. The paper does not say; the population's is the default of NumPy and exists for one."""
 
@@ -112,19 +104,17 @@ class RolloutSettings(Parameters):
 _SettingsT = TypeVar("_SettingsT", bound=Parameters)
 
 
-def _with_groups(
-    declared: type[_SettingsT], registered: Mapping[str, type[Parameters]], *, later: bool = False
-) -> type[_SettingsT]:
-    """Add registered groups that have no field of their own; JSON omits later ones where they have their defaults."""
-    groups: dict[str, Any] = {}
-    for name, group in registered.items():
-        if name not in declared.model_fields:
-            omit = partial(eq, group()) if later else None
-            groups[name] = (group, Field(default=group(), description=group.__doc__, exclude_if=omit))
+def _with_groups(declared: type[_SettingsT], registered: Mapping[str, type[Parameters]]) -> type[_SettingsT]:
+    """Add registered groups that have no field of their own."""
+    groups: dict[str, Any] = {
+        name: (group, Field(default=group(), description=group.__doc__))
+        for name, group in registered.items()
+        if name not in declared.model_fields
+    }
     return create_model(declared.__name__, __base__=declared, __module__=declared.__module__, **groups)
 
 
-@partial(_with_groups, registered={name: search.settings for name, search in SEARCHES.items()}, later=True)
+@partial(_with_groups, registered={name: search.settings for name, search in SEARCHES.items()})
 class EvolutionSettings(Parameters):
     """The evolution of bodies and controllers."""
 
@@ -140,7 +130,7 @@ class EvolutionSettings(Parameters):
     """The algorithm."""
     morphology: Morphology = Morphology()
     """Constraints on bodies and motors."""
-    search: SearchName = later_choice(PAPERS_SEARCH)
+    search: SearchName = PAPERS_SEARCH
     """What improves designs and adapted controllers: afpo, the paper's age-fitness Pareto optimisation, or another
     search, whose settings are the group of its name. [P]: afpo."""
 
@@ -175,17 +165,11 @@ class EvolutionSettings(Parameters):
 class TransferSettings(Parameters):
     """Tests of champions in the target."""
 
-    adapted_environments: tuple[EnvironmentName, ...] = IN_EVERY_RECORD
-    """Environments whose champions' controllers are evolved again from scratch in the target, with frozen bodies. The
-    default is all, further media and the study's own learners, too."""
+    adapted_environments: tuple[EnvironmentName, ...] | None = None
+    """Environments whose champions' controllers are evolved again from scratch in the target, with frozen bodies; null
+    for all."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each adaptation. [P]"""
-
-    @field_validator("adapted_environments")
-    @classmethod
-    def _all(cls, given: tuple[EnvironmentName, ...]) -> tuple[EnvironmentName, ...]:
-        """Take the default for a list of all: earlier records name further media, too."""
-        return IN_EVERY_RECORD if set(IN_EVERY_RECORD) <= set(given) else given
 
 
 class AssessSettings(Parameters):
@@ -221,7 +205,7 @@ class Settings(Parameters):
     """Seed of all randomness, together with the identity of each work item."""
     physics: Physics = Physics()
     """The base simulator."""
-    target: EnvironmentName = later_choice(PAPERS_TARGET)
+    target: EnvironmentName = PAPERS_TARGET
     """The environment that robots are made for: throws are made in its medium, which the base simulator lacks, and
     champions are transferred to it. [P]"""
     slush: Slush = Slush()
@@ -233,7 +217,7 @@ class Settings(Parameters):
     """The data set that networks of residual_slush and single_member learn from."""
     designed_throws: DesignedThrows = DesignedThrows()
     """The data set that networks of designed_throws and designed_single_member learn from."""
-    tracks: Tracks | None = later_choice(None)
+    tracks: Tracks | None = None
     """Tracked throws of real bars, where throws.source is tracks; null for none."""
     network: Architecture = Architecture()
     """One residual network."""
@@ -241,7 +225,7 @@ class Settings(Parameters):
     """Training of the networks."""
     ensemble: EnsembleSettings = EnsembleSettings()
     """The ensemble of networks."""
-    learners: Mapping[LearnerName, LearnerSettings] = later_choice({})
+    learners: Mapping[LearnerName, LearnerSettings] = {}
     """Further learners by name, for grid.environments: each states what differs from the groups above."""
     grid: GridSettings = GridSettings()
     """The trials."""
@@ -261,13 +245,6 @@ class Settings(Parameters):
 
     def __repr__(self) -> str:
         return "\n".join(["Settings(", *(f"    {name}={value!r}," for name, value in self.__repr_args__()), ")"])
-
-    @model_serializer(mode="wrap")
-    def _without_unused(self, write: Callable[[Self], dict[str, Any]]) -> dict[str, Any]:
-        """Leave out the groups of registered media that the study does not use."""
-        named = (*IN_EVERY_RECORD, self.target, *self.grid.environments)
-        unused = settings_groups().keys() - {environment_kind(name).settings_group for name in named}
-        return {name: value for name, value in write(self).items() if name not in unused}
 
     @model_validator(mode="after")
     def _target_is_an_arm(self) -> Self:
@@ -370,7 +347,7 @@ class Settings(Parameters):
         for place, names, allowed in (
             ("target", (self.target,), targets),
             ("grid.environments", self.grid.environments, known),
-            ("transfer.adapted_environments", self.transfer.adapted_environments, known),
+            ("transfer.adapted_environments", self.transfer.adapted_environments or (), known),
             ("evolution.objective", (self.evolution.objective,), tuple(OBJECTIVES)),
             ("evolution.search", (self.evolution.search,), tuple(SEARCHES)),
         ):
@@ -419,7 +396,7 @@ class Settings(Parameters):
     def is_adapted(self, environment: EnvironmentName) -> bool:
         """Return whether the controllers of champions of an environment adapt to the target."""
         adapted = self.transfer.adapted_environments
-        return environment in adapted or adapted == IN_EVERY_RECORD
+        return adapted is None or environment in adapted
 
     @property
     def simulated_environments(self) -> tuple[EnvironmentName, ...]:
@@ -491,7 +468,6 @@ class RecordedSettings(Settings, extra="allow"):
 
     @property
     def missing(self) -> list[str]:
-        """Names of what has settings or is used, and has no code."""
-        names = {*(self.model_extra or {}), *(self.evolution.model_extra or {})}
-        names |= {self.target, *self.grid.environments} - {*ENVIRONMENTS, TANK_MODEL.name, *self.learners}
-        return sorted(names | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})
+        """Names of what is used and has no code."""
+        used = {self.target, *self.grid.environments} - {*ENVIRONMENTS, TANK_MODEL.name, *self.learners}
+        return sorted(used | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})

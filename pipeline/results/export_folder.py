@@ -40,7 +40,6 @@ from pipeline.store.encoding import Json
 from pipeline.store.owned_folder import FolderKind, NewFolder
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import trials_of
-from pipeline.workflow.record import to_record
 from tasks.analysis.registry import scored_by
 from tasks.analysis.tables.transfer import TransferRow
 from tasks.simulation.mjcf import mjcf as as_mjcf
@@ -77,7 +76,7 @@ def export_study(study: Study, out: Path, *, tables: Sequence[str] | None = None
             f"study {study.name} has no table {', '.join(unknown)}. Expected --table to be one of "
             f"{', '.join(study.tables)}."
         )
-    settings = to_record(study.settings)
+    settings = study.settings.model_dump(mode="json")
     progress: dict[str, Json] = {name: vars(one) for name, one in study.progress.items()}
     manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
     with EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:

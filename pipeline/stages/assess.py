@@ -5,7 +5,7 @@ in the target and under every member. What the figures say of it is computed by 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
-from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Results, Stage, Summary, Upstream
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
@@ -25,7 +25,6 @@ from tasks.design.genes import DTYPES, GENES
 from tasks.residual import ensemble_of_data_set
 from tasks.seeding import generator
 from tasks.world import EnvironmentName, environment_kind
-from tasks.world.slush import PAPERS_TARGET
 
 PREDICTIONS = "predictions.parquet"
 ASSESSED = "assessed"  # role of the inputs of later stages that are a trial's predictions
@@ -71,7 +70,7 @@ class AssessSpec:
     n_designs: int
     seed: int
     simulation: SimulationSpec
-    target: EnvironmentName = field(default=PAPERS_TARGET, metadata=OMIT_DEFAULT)
+    target: EnvironmentName
 
 
 def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:

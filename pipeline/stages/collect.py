@@ -1,7 +1,7 @@
 """collect: the data sets of throws, simulated in chunks, or tracked. Paper, "Dataset Collection"."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from pipeline.stages.tracked import TRACK_REPORT, encode_report, outside_files, 
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.identity import OMIT_DEFAULT, InputName
+from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Results, Sources, Stage, Summary, Upstream
 from tasks.bench.tracks import Tracks, residual_transitions
 from tasks.residual import (
@@ -30,7 +30,6 @@ from tasks.residual import (
 )
 from tasks.seeding import generator, replicate_seed
 from tasks.world import EnvironmentName, Physics
-from tasks.world.slush import PAPERS_TARGET
 
 THROWN = "throws"  # role of the inputs that are chunks of the data set
 TRANSITIONS = "transitions.parquet"
@@ -59,7 +58,7 @@ class ChunkSpec:
     throws: Throws
     physics: Physics
     media: Media
-    target: EnvironmentName = field(default=PAPERS_TARGET, metadata=OMIT_DEFAULT)  # whose medium links are thrown into
+    target: EnvironmentName  # whose medium links are thrown into
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.design import Designs, random_designs
-from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Deviation, Evaluation, ObjectiveName, evaluate
+from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual import Architecture
 from tasks.seeding import generator
@@ -195,10 +195,10 @@ def check_media(settings: Settings) -> None:
 class FitnessSpec:
     """What designs are selected for."""
 
-    disagreement_penalty: float = 0.0  # weight of the members' disagreement; 0 without an ensemble
-    objective: ObjectiveName = PAPERS_OBJECTIVE
-    objective_depths: tuple[float, ...] = ()  # [m], over which an objective over depths is the mean; otherwise none
-    deviation: Deviation = "population"  # what σ over members is; "population" without an ensemble
+    disagreement_penalty: float  # weight of the members' disagreement; 0 without an ensemble
+    objective: ObjectiveName
+    objective_depths: tuple[float, ...]  # [m], over which an objective over depths is the mean; otherwise none
+    deviation: Deviation  # what σ over members is; "population" without an ensemble
 
 
 def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:

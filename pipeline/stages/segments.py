@@ -1,7 +1,7 @@
 """Segments: a work item of some generations of one trial. Evolution and adaptation both consist of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -15,17 +15,13 @@ from pipeline.stages.environments import FitnessSpec, SimulationSpec, networks_a
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.identity import OMIT_DEFAULT, Arm, InputName, TrialId
+from pipeline.workflow.identity import Arm, InputName, TrialId
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Sources
 from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
 from tasks.evolution import (
     EMPTY_POPULATION,
     OBJECTIVES,
-    PAPERS_OBJECTIVE,
-    PAPERS_SEARCH,
-    Deviation,
-    ObjectiveName,
     Optimiser,
     Population,
     SearchName,
@@ -49,18 +45,10 @@ class TrialSpec:
     seed: int
     environment: EnvironmentName  # where designs are simulated: its own, or the target for an adaptation
     simulation: SimulationSpec
-    afpo: Optimiser  # settings of the search, which in keys are called as those of the first one
+    search: SearchName
+    optimiser: Optimiser  # the search, with its settings
     morphology: Morphology
-    disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without an ensemble
-    objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT)
-    objective_depths: tuple[float, ...] = field(default=(), metadata=OMIT_DEFAULT)  # [m], of an objective over depths
-    deviation: Deviation = field(default="population", metadata=OMIT_DEFAULT)  # what σ over members is
-    search: SearchName = field(default=PAPERS_SEARCH, metadata=OMIT_DEFAULT)
-
-    @property
-    def fitness(self) -> FitnessSpec:
-        """What its designs are selected for."""
-        return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths, self.deviation)
+    fitness: FitnessSpec  # what its designs are selected for
 
     def at_home(self, networks: Mapping[NetworkId, Files]) -> Environment:
         """Build the environment where designs are simulated."""
@@ -83,10 +71,10 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         settings.seed,
         environment,
         environments.simulation_spec(settings, environment),
+        settings.evolution.search,
         settings.evolution.optimiser,
         settings.evolution.morphology,
-        **vars(environments.fitness_spec(settings, environment)),
-        search=settings.evolution.search,
+        environments.fitness_spec(settings, environment),
     )
 
 
@@ -98,7 +86,7 @@ def segment_lengths(settings: Settings, n_generations: int) -> tuple[int, ...]:
 
 def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -> Chain[TrialSpec]:
     """Return a trial as a chain of items of some generations; trials in one environment at one depth may be batched."""
-    n_depths = len({spec.identity.depth, *spec.objective_depths})
+    n_depths = len({spec.identity.depth, *spec.fitness.objective_depths})
     return Chain(
         spec.identity,
         units,
@@ -138,7 +126,7 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
         raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
     trials = [_trial(item.spec.trial, item_inputs) for item, item_inputs in zip(items, inputs, strict=True)]
     environment = spec.trial.at_home(networks_among(inputs[0]))
-    search, objective = spec.trial.afpo, spec.trial.objective
+    search, objective = spec.trial.optimiser, spec.trial.fitness.objective
     of_history = {**history_units(search, objective), **{gene.name: gene.unit for gene in GENES}}
     of_curve = curve_units(search, OBJECTIVES[objective].unit)
     advanced = evolve(

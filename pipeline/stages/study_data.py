@@ -1,7 +1,7 @@
 """What analyses and the page read of a study: scores, champions, networks, throws and predictions, out of files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 from numpy.random import Generator
@@ -23,7 +23,7 @@ from pipeline.stages.segments import POPULATION, population_of
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.stages.trial_scores import SCORE, scored_trial
 from pipeline.store.design_file import design_from
-from pipeline.workflow.identity import OMIT_DEFAULT, InputName, TrialId, arms_of
+from pipeline.workflow.identity import InputName, TrialId, arms_of
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.analysis.registry import AnalysisSettings, Assessed
 from tasks.analysis.scores import Champion, ScoredTrial
@@ -47,8 +47,8 @@ class DataSpec:
     trials: tuple[TrialId, ...]
     simulation: SimulationSpec
     settings: AnalysisSettings
-    target: EnvironmentName = field(default=PAPERS_TARGET, metadata=OMIT_DEFAULT)
-    fitness: FitnessSpec = field(default=FitnessSpec(), metadata=OMIT_DEFAULT)  # in the target
+    target: EnvironmentName
+    fitness: FitnessSpec  # in the target
 
 
 def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:

@@ -6,7 +6,7 @@ target: the gap that remains is the body's fault.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, cast
 
 from pipeline.config.settings import Settings
@@ -20,7 +20,7 @@ from pipeline.stages.trial_scores import SCORE, TrialScores, decode_scores, enco
 from pipeline.store.design_file import design_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, trials_of
+from pipeline.workflow.identity import ChainId, InputName, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -38,7 +38,7 @@ from tasks.analysis.registry import scored_by
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 from tasks.design import Designs
-from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Deviation, ObjectiveName, disagreement
+from tasks.evolution import OBJECTIVES, Deviation, ObjectiveName, disagreement
 
 SCORED = "scored"  # role of the inputs of later stages that are a trial's scores and champion
 _ADAPTED_TO = InputName("adapted")  # the last segment of the adaptation
@@ -53,8 +53,8 @@ class ScoreSpec:
 
     trial: TrialSpec
     home: SimulationSpec  # of the environment where it evolved
-    deviation: Deviation = field(default="population", metadata=OMIT_DEFAULT)  # what σ over its members is
-    objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT)  # what its scores are of
+    deviation: Deviation  # what σ over its members is
+    objective: ObjectiveName  # what its scores are of
 
 
 TransferSpec = SegmentSpec | ScoreSpec  # A segment of an adaptation, or the scoring at its end
@@ -86,7 +86,7 @@ def _item(
         trial = chain.spec.identity
         home = environments.simulation_spec(settings, trial.environment)
         deviation = environments.fitness_spec(settings, trial.environment).deviation
-        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation, chain.spec.objective)
+        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation, chain.spec.fitness.objective)
         networks = networks_of(trial, settings.learner(trial.environment))
         inputs |= environments.network_inputs(networks, upstream)
         inputs |= environments.network_inputs(in_target, upstream, environments.OF_TARGET)

@@ -9,12 +9,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from pydantic_core import to_jsonable_python
+
 from pipeline.cluster import Cluster, Outcome, TaskFailed, Ticket
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json
 from pipeline.workflow.code_digest import recorded_code
 from pipeline.workflow.graph import ChainProgress, StageRun
-from pipeline.workflow.identity import InputName, to_json
+from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, OutsideFile
 
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
@@ -111,7 +113,7 @@ class Dispatcher:
         record: Mapping[str, Json] = {
             "label": item.label,
             "seconds": seconds,
-            "execution": to_json(item.execution),
+            "execution": to_jsonable_python(item.execution),
             "code": self._code,
         }
         manifest = self._run.store.commit(item.stage, item.identity, files, record=record)

@@ -2,41 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from types import MappingProxyType
-from typing import Any, Protocol
-
-from pydantic_core import to_jsonable_python
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 from pipeline.config.settings import Settings
 from tasks.world import EnvironmentName
-
-OMIT_DEFAULT = MappingProxyType({"omit_default": True})
-"""Metadata of a dataclass's field that is left out of JSON where it has its default. So a choice that is added later
-leaves the keys of older results as they are."""
-
-
-def to_json(specification: object) -> Any:
-    """Convert a specification of dataclasses, settings and plain values to JSON values."""
-    return to_jsonable_python(_with_fields(specification))
-
-
-def _with_fields(value: object) -> Any:
-    """Convert dataclasses to dictionaries, without the fields that are to be omitted."""
-    if is_dataclass(value) and not isinstance(value, type):
-        named = [(attribute, getattr(value, attribute.name)) for attribute in fields(value)]
-        shown = [
-            (attribute, inner)
-            for attribute, inner in named
-            if attribute.metadata != OMIT_DEFAULT or inner != attribute.default
-        ]
-        return {attribute.name: _with_fields(inner) for attribute, inner in shown}
-    if isinstance(value, Mapping):
-        return {name: _with_fields(inner) for name, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_with_fields(inner) for inner in value]
-    return value
 
 
 class ChainId(Protocol):
@@ -68,7 +39,7 @@ class TrialId:
     environment: EnvironmentName  # where its designs evolved
     depth: float  # [m]
     index: int
-    n_replicates: int = field(default=1, compare=False, metadata=OMIT_DEFAULT)  # of the study's data sets
+    n_replicates: int = field(default=1, compare=False)  # of the study's data sets
 
     @property
     def replicate(self) -> int:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from pydantic import ValidationError
-from pydantic_core import to_jsonable_python
 
 from pipeline.config.settings import RecordedSettings, Settings
 from pipeline.errors import DamagedArtifact, PuddleError
@@ -22,7 +21,7 @@ class DrivenStudy:
     def __init__(self, settings: Settings, store: Store, say: Callable[[str], None], source: str = "") -> None:
         """Put the study's settings on record; ``source`` is "preset laptop", or the path of the file they come from."""
         self._store = store
-        self._record = StudyRecord(settings.name, to_record(settings), (), source=source)
+        self._record = StudyRecord(settings.name, settings.model_dump(mode="json"), (), source=source)
         changes: list[str] = []
         try:
             before = store.read_study(settings.name)
@@ -82,26 +81,16 @@ def preset_of(source: str) -> str:
     return source.removeprefix("preset ") if source.startswith("preset ") else ""
 
 
-def to_record(settings: Settings) -> dict[str, Any]:
-    """Return settings as they are recorded: with those of the search, even where these are its defaults."""
-    written = settings.model_dump(mode="json")
-    written["evolution"][settings.evolution.search] = to_jsonable_python(settings.evolution.optimiser)
-    return written
-
-
 def settings_of(record: StudyRecord) -> Settings:
     """Return the settings of a recorded study: RecordedSettings where it used code that is not here.
 
     Raises:
         PuddleError: they are those of another version of puddle, with other fields.
     """
-    recorded = None
     try:
         recorded = RecordedSettings.model_validate(record.settings)
-        return Settings.model_validate(record.settings, extra="ignore")  # groups that it did not use
+        return recorded if recorded.missing else Settings.model_validate(record.settings, extra="ignore")
     except ValidationError as error:
-        if recorded and recorded.missing:
-            return recorded
         first = error.errors()[0]
         why = "; ".join([f"{'.'.join(map(str, first['loc']))}: {first['msg']}", *FAILURES])
         raise PuddleError(
@@ -124,5 +113,5 @@ def setting_changes(old: Any, new: Any, name: str = "") -> list[tuple[str, Any, 
 
 def differences(old: Settings, new: Settings) -> list[str]:
     """Return one line per setting that differs between two settings, with both values."""
-    changes = setting_changes(to_record(old), to_record(new))
+    changes = setting_changes(old.model_dump(mode="json"), new.model_dump(mode="json"))
     return [f"{name}: {json.dumps(one)} → {json.dumps(other)}" for name, one, other in changes]

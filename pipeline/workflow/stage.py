@@ -14,6 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
+from pydantic_core import to_jsonable_python
+
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.mlflow.run import CurvePoints
@@ -21,7 +23,7 @@ from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.track_file import content_of
-from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId, to_json
+from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId
 
 ChainSpecT = TypeVar("ChainSpecT")
 ItemSpecT = TypeVar("ItemSpecT")
@@ -135,7 +137,7 @@ class Item(Generic[ItemSpecT]):
     def identity(self) -> Mapping[str, Json]:
         """What the key is the hash of."""
         inputs = {name.label: source.digest for name, source in self.inputs.items()}
-        return {"stage": self.stage, "version": self.version, "spec": to_json(self.spec), "inputs": inputs}
+        return {"stage": self.stage, "version": self.version, "spec": to_jsonable_python(self.spec), "inputs": inputs}
 
     @cached_property
     def key(self) -> str:

@@ -17,7 +17,7 @@ from tasks.arrays import Bools, Float64, Int64
 from tasks.design.body import rest_pose
 from tasks.design.gait import gaits_of, sine, swing, top_speed
 from tasks.design.genes import N_LINKS, DesignError, Designs, DesignTable
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 
 _TOLERANCE = 1e-9  # overlap that counts as touching [m]: the rounding of positions within some metres
 
@@ -37,7 +37,7 @@ class Morphology(Parameters):
     unjoined_links: Literal["may_overlap", "apart", "apart_in_gait"] = "may_overlap"
     """Whether links that no joint connects may overlap, or are apart at rest, or also while the motors follow the
     controller. [P]: apart in the robot that was built."""
-    max_joint_speed: float | None = later_choice(None, gt=0.0, le=1e6)
+    max_joint_speed: float | None = Field(default=None, gt=0.0, le=1e6)
     """[rad/s]. Highest speed at which a controller may swing a joint; null: no limit."""
 
     @property

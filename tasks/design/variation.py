@@ -21,7 +21,7 @@ from tasks.design import variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
 from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, sample_allowed
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 
 
 class Mutation(Parameters):
@@ -33,7 +33,7 @@ class Mutation(Parameters):
     """Standard deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability that one link of a mutant gets another parent."""
-    changed_genes: Literal["step", "redraw"] = later_choice("step")
+    changed_genes: Literal["step", "redraw"] = "step"
     """What a changed gene does: it takes a Gaussian step, or is drawn anew as in a random design, whatever the step. A
     flag flips. The paper's "randomly modified copies" may be either; steps find better robots."""
 

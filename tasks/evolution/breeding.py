@@ -14,7 +14,7 @@ from tasks.design import ANY_BODY, Designs, Morphology, Mutation
 from tasks.design.genes import DesignTable, GenePart
 from tasks.design.variation import Sampler, mutate_kernel, random_kernel, recombine_kernel, variation_of
 from tasks.evolution.search import NO_PARENT, Children, Population
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 
 OPERATORS = ("random", "mutation", "crossover")  # operators that make a child, in the order of their codes
 RANDOM, MUTATION, CROSSOVER = range(3)
@@ -36,7 +36,7 @@ class Breeding(Parameters):
     """Share of children that are recombinations of two designs. [P]"""
     mutation: Mutation = Mutation()
     """How mutants depart from their parents."""
-    parent_selection: Literal["uniform", "tournament"] = later_choice("uniform")
+    parent_selection: Literal["uniform", "tournament"] = "uniform"
     """How the parent of a mutant and the first parent of a crossover are chosen: uniformly, or as the fitter of two
     survivors. The paper does not say; uniformly, as in age-fitness Pareto optimisation's own paper."""
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 from tasks.residual.observation import OBSERVATION, STATE, Observed
 from tasks.residual.wetted import N_WETTED_OUTPUTS, WETTED
 
@@ -23,9 +23,9 @@ class Architecture(Parameters):
     """Units in each hidden layer. [P]"""
     dropout: float = Field(default=0.001, ge=0.0, le=0.9)
     """Probability to drop a hidden unit from a sample of a minibatch. [P]"""
-    observation: Annotated[tuple[Observed, ...], Field(min_length=1)] = later_choice(OBSERVATION)
+    observation: Annotated[tuple[Observed, ...], Field(min_length=1)] = OBSERVATION
     """Inputs: by default the six of the paper [P]. sin_angle is for media that push a tilted plate sideways."""
-    form: Literal["plain", "wetted"] = later_choice("plain")
+    form: Literal["plain", "wetted"] = "plain"
     """What networks know of links: nothing [P], or "wetted", which part is under water. The latter need several times
     fewer throws, of a fluid that does not flow: they learn from the mirror image of every throw, too."""
 
@@ -65,7 +65,7 @@ class Training(Parameters):
     """Rate after warm-up. [P] Short runs need more: 2 × 32 units in 10 s did best at 1e-2 with batches of 2,048."""
     min_learning_rate: float = Field(default=1e-6, gt=0.0, le=1.0)
     """Rate at the last iteration, the end of the decay. [P]"""
-    decay: Literal["exponential", "cosine"] = later_choice("exponential")
+    decay: Literal["exponential", "cosine"] = "exponential"
     """How the rate decays after warm-up: exponentially [P], or as half a period of a cosine. With a long warm-up and a
     high rate (0.3 and 3e-2) the latter halves the errors of wetted networks of few throws."""
     warm_up: float = Field(default=0.01, ge=0.0, le=0.5)

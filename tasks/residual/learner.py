@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from pydantic import Field, field_serializer
+from pydantic import Field, model_serializer
 
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.throws import Throws
 from tasks.world.registry import EnvironmentKind
@@ -31,31 +31,31 @@ def completed(group: GroupT, given: Parameters) -> GroupT:
     return type(group).model_validate(dict(group) | changes) if changes else group
 
 
-def _says_nothing(group: Parameters) -> bool:
-    return not group.model_fields_set
-
-
 class LearnerSettings(Parameters):
     """A learner: an arm of the study with its own networks. What it does not state is as in the study's groups."""
 
-    throws: Throws = Field(default=Throws(), exclude_if=_says_nothing)
+    throws: Throws = Throws()
     """Its throws, where they differ from the group throws."""
-    network: Architecture = Field(default=Architecture(), exclude_if=_says_nothing)
+    network: Architecture = Architecture()
     """Its networks, where they differ from the group network."""
-    training: Training = Field(default=Training(), exclude_if=_says_nothing)
+    training: Training = Training()
     """Their training, where it differs from the group training."""
-    n_members: int | None = later_choice(None, gt=0, le=64)
+    n_members: int | None = Field(default=None, gt=0, le=64)
     """Number of networks; null for ensemble.n_members."""
-    single: str | None = later_choice(None)
+    single: str | None = None
     """Another learner, of whose networks each trial uses one by itself; null for an ensemble of its own."""
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """Show what is stated, even where it is a default."""
         yield from self.model_dump().items()
 
-    @field_serializer("throws", "network", "training")
-    def _stated(self, group: Parameters) -> dict[str, Any]:
-        return stated(group)
+    @model_serializer
+    def _stated(self) -> dict[str, Any]:
+        """Write what is stated alone."""
+        return {
+            name: value.model_dump(mode="json", exclude_unset=True) if isinstance(value, Parameters) else value
+            for name, value in stated(self).items()
+        }
 
 
 BUILT_IN: Mapping[str, LearnerSettings] = {

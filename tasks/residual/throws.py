@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tasks.arrays import ArrayData, Bools, Float32, Float64, Int64
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 from tasks.residual.observation import OBSERVATION, STATE, observe_states
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.seeding import generator
@@ -29,7 +29,7 @@ from tasks.world.slush import submerged_part
 class Throws(Parameters):
     """Settings of the throws."""
 
-    source: Literal["simulation", "tracks"] = later_choice("simulation")
+    source: Literal["simulation", "tracks"] = "simulation"
     """Where throws come from: simulated in the true medium, or tracked, of real bars, as the settings group tracks
     says. With tracks, nothing else of this group is used, and n_throws is that of the file."""
     n_throws: int = Field(default=500, ge=2, le=1_000_000)
@@ -37,7 +37,7 @@ class Throws(Parameters):
     n_steps: int | None = Field(default=200, ge=1, le=100_000)
     """Steps of each throw; the default is 3.3 s [P]. null: in throws for robots, as many as gravity takes to accelerate
     a link beyond the range of their speeds, about half a second."""
-    design: Literal["paper", "robots"] = later_choice("paper")
+    design: Literal["paper", "robots"] = "paper"
     """Starts: "paper" draws them uniformly within the ranges below [P]. "robots" spreads them evenly, as a scrambled
     Sobol sequence, over the states that links of random designs pass through in the base simulator, and ignores the
     ranges below."""

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from tasks.design.body import PassiveJoints
 from tasks.design.gait import RangeOfMotion
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 
 
 class Physics(Parameters):
@@ -33,7 +33,7 @@ class Physics(Parameters):
     """[1/s]. A motor's speed is the gain times the joint's angular error."""
     max_motor_torque: float = Field(default=100.0, ge=0.0, le=1e9)
     """[N·m]. [P]; the robot that was built had 30."""
-    max_motor_speed: float | None = later_choice(None, gt=0.0, le=1e6)
+    max_motor_speed: float | None = Field(default=None, gt=0.0, le=1e6)
     """[rad/s]. Fastest that a motor turns its joint; null: no limit. Other forces may turn the joint faster."""
     passive_joints: PassiveJoints = "swing"
     """A joint whose motor is off swings freely, or is locked at its rest angle, which fuses its links to a rigid body.
@@ -41,7 +41,7 @@ class Physics(Parameters):
     link_collisions: bool = False
     """Whether links that no joint connects collide; all links collide with the ground. [P]: they did in the robot that
     was built."""
-    range_of_motion: RangeOfMotion = later_choice("amplitude")
+    range_of_motion: RangeOfMotion = "amplitude"
     """What a joint's range of motion is of its oscillation. The paper's ranges of 0.2 to π/2 fit both. Peak to peak,
     robots in slush hardly travel, far less than the paper's."""
 

@@ -14,7 +14,7 @@ from typing import Literal
 from pydantic import Field
 
 from tasks.compiled import formula
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 from tasks.simd.lanes import Numeric, any_lane, select, sqrt
 from tasks.world.environment import Environment
 from tasks.world.medium import Fluid, LinkStates, Medium
@@ -83,7 +83,7 @@ def submerged_part(length_scale: Numeric, y: Numeric, cos: Numeric, sin: Numeric
 class DragLaw(Parameters):
     """How drag acts, whatever its coefficients."""
 
-    drag: Literal["vector", "by_component"] = later_choice("vector")
+    drag: Literal["vector", "by_component"] = "vector"
     """Drag opposes the velocity, quadratic in the speed, or each component by itself, quadratic in that component. The
     paper's k |v| v reads as the first, which does not depend on the choice of the axes."""
 

@@ -7,7 +7,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator
 from tasks.bench.fabrication.scaling import Scaling
 from tasks.bench.fabrication.servos import MEASURES, HornKind
 from tasks.bench.fabrication.timeline import Playback
-from tasks.parameters import Parameters, later_choice
+from tasks.parameters import Parameters
 
 
 class KitSettings(Parameters):
@@ -99,5 +99,5 @@ class FabricationSettings(Parameters):
     """Scaling from simulation to bench."""
     playback: Playback = Playback()
     """The run on the bench."""
-    throwing: ThrowingKit = later_choice(ThrowingKit())
+    throwing: ThrowingKit = ThrowingKit()
     """Bars to throw, for `puddle fabricate --throwing-kit`."""

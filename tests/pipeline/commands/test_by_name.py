@@ -25,9 +25,9 @@ def add_study(store: Store, name: str) -> None:
     [
         ("status", "tiny"),
         ("settings", "tiny"),
-        ("forecast", "--study", "tiny"),
+        ("forecast", "tiny"),
         ("evolve", "tiny", "--workers", "0"),
-        ("study", "--study", "tiny", "--workers", "0"),
+        ("study", "tiny", "--workers", "0"),
     ],
 )
 def test_a_name_takes_the_recorded_settings(words, done, store, capsys):
@@ -94,9 +94,9 @@ def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
     said = refused(capsys, "status", "tiny", "--store", str(store.root))
     assert "study.json: expected a record, found no file" in said
     shutil.rmtree(store.study_path("tiny"))
-    assert "holds no study yet" in refused(capsys, "status", "--study", "tiny", "--store", str(store.root))
+    assert "holds no study yet" in refused(capsys, "status", "tiny", "--store", str(store.root))
     nowhere = str(tmp_path / "nowhere")
-    assert "expected a store" in refused(capsys, "study", "--study", "tiny", "--store", nowhere)
+    assert "expected a store" in refused(capsys, "study", "tiny", "--store", nowhere)
     assert not Path(nowhere).exists()
 
 
@@ -104,12 +104,15 @@ def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
 @pytest.mark.parametrize(
     "chosen",
     [
-        ("--study", "tiny", "--settings", "tiny.yaml"),
-        ("--study", "tiny", "--preset", "smoke"),
+        ("tiny", "--settings", "tiny.yaml"),
+        ("tiny", "--preset", "smoke"),
         ("--preset", "laptop", "--settings", "tiny.yaml"),
     ],
 )
 def test_two_sources_of_settings_are_refused(command, chosen, capsys):
-    design = ["docs/design.json", "--environment", "dry_land", "--depth", "1"] if command == "simulate" else []
-    said = refused(capsys, command, *design, *chosen)
+    words = [command, *chosen]
+    if command == "simulate":
+        words[1:2] = ["--study", "tiny"] if chosen[0] == "tiny" else chosen[:1]
+        words += ["docs/design.json", "--environment", "dry_land", "--depth", "1"]
+    said = refused(capsys, *words)
     assert "expected only one of a study's name, --preset and --settings, got " in said

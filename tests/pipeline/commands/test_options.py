@@ -17,7 +17,7 @@ from pipeline.commands.options import StudyOptions, program
         ("other", {"store": Path("other")}, "puddle train"),
         ("other", {"store": Path("store")}, "puddle train --store store"),
         ("", {"study": "mine"}, "puddle train mine"),
-        ("", {"name": "mine"}, "puddle train mine"),
+        ("", {"study": "mine"}, "puddle train mine"),
         ("", {"preset": "row"}, "puddle train --preset row"),
         ("", {"preset": "laptop"}, "puddle train"),
         (

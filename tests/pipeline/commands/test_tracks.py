@@ -53,7 +53,7 @@ def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
     folder, _ = collected
     shutil.copytree(folder / "store", tmp_path / "store")
     for command in ("train", "evolve", "transfer"):
-        where = ("--study", "tank", "--store", str(tmp_path / "store"), "--workers", "0")
+        where = ("tank", "--store", str(tmp_path / "store"), "--workers", "0")
         assert call(command, *where, *WITHOUT_MLFLOW) == 0
     study = open_study("tank", tmp_path / "store")
     assert study.settings.throws.source == "tracks" and study.settings.throws.n_throws == 4
@@ -83,7 +83,7 @@ def test_robots_of_tracks_are_tested_in_the_model_of_the_tank(collected, tmp_pat
     assert call("transfer", *where, "--set", "target=flowing_slush", *WITHOUT_MLFLOW) == 0
     (trial,) = open_study("tank", tmp_path / "store").trials()
     assert np.isfinite([trial.zero_shot, trial.adapted]).all()
-    kept = StudyOptions(name="tank", store=tmp_path / "store", tracks=folder / "tracks.csv").settings()
+    kept = StudyOptions(study="tank", store=tmp_path / "store", tracks=folder / "tracks.csv").settings()
     assert kept.target == "flowing_slush"
 
 
@@ -136,7 +136,7 @@ def test_the_file_may_be_named_beside_other_settings_of_tracks(collected) -> Non
 def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(collected, capsys) -> None:
     folder, _ = collected
     file = folder / "tracks.csv"
-    content, words = file.read_bytes(), ("collect", "--study", "tank", "--store", str(folder / "store"))
+    content, words = file.read_bytes(), ("collect", "tank", "--store", str(folder / "store"))
     file.unlink()
     try:
         assert call(*words, "--workers", "0") == 0

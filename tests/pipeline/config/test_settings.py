@@ -5,9 +5,8 @@ import json
 import pytest
 
 from pipeline.config.loading import parse
-from pipeline.config.settings import Settings, TransferSettings
+from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from tasks.world import ENVIRONMENTS
 
 LISTED = """name: mine
 throws: {n_throws: 30}
@@ -40,7 +39,6 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         assert all(same.is_adapted(name) for name in same.grid.environments)
         stating = "LearnerSettings(throws={'n_throws': 500}, network={'form': 'plain'}, n_members=3)"
         assert stating in repr(same) and repr(same).count("\n") == 6
-    assert "learners" not in Settings().model_dump(mode="json")
 
 
 @pytest.mark.parametrize(
@@ -94,19 +92,12 @@ def test_a_mistake_is_named(overrides, said):
     assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_a_list_of_all_adapted_environments_means_all():
-    """Earlier records list all that was registered, which own learners are not."""
-    listed = {"adapted_environments": [*ENVIRONMENTS, "honey"]}
-    settings = Settings.model_validate({"transfer": listed, "learners": {"mine": {"n_members": 3}}})
-    assert settings.transfer == TransferSettings() and settings.is_adapted("mine")
-
-
 def test_designs_evolve_in_the_target_unless_arms_are_stated():
-    """The default target is left out of keys, and settings of the slush are accepted where an arm uses it."""
+    """Settings of the slush are accepted where an arm uses it."""
     flowing = parse(Settings, "", name="mine", overrides=["target=flowing_slush"])
     assert flowing.grid.environments == ("flowing_slush", "dry_land", "residual_slush")
     assert Settings.model_validate(flowing.model_dump(mode="json")) == flowing and not flowing.has_papers_target
-    assert "target" not in Settings().model_dump(mode="json") and Settings().has_papers_target
+    assert Settings().has_papers_target
     arms = ["target=flowing_slush", "slush.density=2", "grid.environments=[true_slush]"]
     assert parse(Settings, "", name="mine", overrides=arms).grid.environments == ("true_slush",)
     assert not parse(Settings, "", name="mine", overrides=["slush.density=2"]).has_papers_target

@@ -10,12 +10,11 @@ from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.collect import COLLECT, TRANSITIONS
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
 from pipeline.stages.environments import WEIGHTS
-from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.segments import HISTORY, trial_spec
 from pipeline.stages.train import TRAIN
-from pipeline.stages.transfer import SCORE, TRANSFER
+from pipeline.stages.transfer import SCORE
 from pipeline.store.encoding import decode_json, decode_table
-from pipeline.workflow.identity import TrialId, to_json, trials_of
+from pipeline.workflow.identity import TrialId, trials_of
 
 
 def trial(environment, index):
@@ -130,14 +129,3 @@ def test_fitness_is_the_mean_over_members_less_their_disagreement(sets):
         assert by_member.shape[1] == n_members.get(trial.environment, by_member.shape[1])
         deviation = by_member.std(axis=1, ddof=1) if by_member.shape[1] > 1 else 0.0
         np.testing.assert_allclose(history["fitness"], by_member.mean(axis=1) - 0.5 * deviation, rtol=1e-12)
-
-
-def test_what_is_not_chosen_is_in_no_key(settings_with):
-    def written(stage, settings):
-        return str([to_json(chain.spec) for chain in stage.plan(settings)])
-
-    chosen = settings_with()
-    usual = settings_with(ensemble=chosen.ensemble.model_copy(update={"deviation": "population"}))
-    assert "'deviation'" in written(EVOLVE, chosen)
-    for name in ("deviation", "range_of_motion", "changed_genes", "parent_selection"):
-        assert f"'{name}'" not in written(EVOLVE, usual) + written(TRANSFER, usual)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import WITHOUT_MLFLOW, call
+from pydantic_core import to_jsonable_python
 from small_study import TINY
 
 import puddle
@@ -15,7 +16,6 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
 from pipeline.store.design_file import design_json
-from pipeline.workflow.identity import to_json
 from tasks.design import random_designs
 
 LISTED = (
@@ -82,6 +82,8 @@ def test_learners_change_no_work_item_of_other_arms():
     """What they add is theirs alone: their throws, networks and trials."""
     plain, listed = (parse(Settings, TINY, name="tiny", overrides=overrides) for overrides in ((), LISTED))
     for stage in (stage for stage in STAGES if stage.name not in ("analyse", "report")):
-        before, after = ({chain.label: to_json(chain.spec) for chain in stage.plan(one)} for one in (plain, listed))
+        before, after = (
+            {chain.label: to_jsonable_python(chain.spec) for chain in stage.plan(one)} for one in (plain, listed)
+        )
         assert {label: after[label] for label in before} == before
         assert all("five" in label for label in after.keys() - before.keys())

@@ -6,6 +6,7 @@ import numpy as np
 import polars
 import pyarrow.parquet
 import pytest
+from pydantic_core import to_jsonable_python
 from small_study import files_of, inputs_of, labelled
 
 from pipeline.config.loading import load, preset_names, preset_path
@@ -13,7 +14,6 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.stages.segments import mean_and_deviation
 from pipeline.store.encoding import canonical_json
-from pipeline.workflow.identity import to_json
 from pipeline.workflow.stage import Item
 from tasks.design import Designs, check
 from tasks.evolution import OPERATORS
@@ -43,8 +43,10 @@ def test_contract(stage, settings, study):
     for item in items:
         canonical_json(item.identity)  # plain JSON, or it raises
         assert item.stage == stage.name and item.version == stage.version
-        spec = to_json(item.spec)
-        assert any(to_json(chain.spec) in (spec, *spec.values()) for chain in chains)  # `puddle gc` relies on it
+        spec = to_jsonable_python(item.spec)
+        assert any(
+            to_jsonable_python(chain.spec) in (spec, *spec.values()) for chain in chains
+        )  # `puddle gc` relies on it
         assert {source.manifest.stage for source in item.inputs.values()} <= {stage.name, *stage.reads(settings)}
         manifest = store.manifest(item.stage, item.key)
         assert files_of(store, manifest) == stage.compute(item, inputs_of(store, item))  # pure: the same bytes again
