@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from tasks import kernel_cache
+import tasks
 
 
 def _open_cache(function: Callable[..., Any]) -> Any:
@@ -14,7 +14,7 @@ def _open_cache(function: Callable[..., Any]) -> Any:
 
 
 # In whatever process imports this package: a user's, the driver's, a worker's.
-kernel_cache.open_cache = _open_cache
+tasks.open_kernel_cache = _open_cache
 if "PUDDLE_EXTENSIONS" in os.environ:
     from pipeline.extensions import import_given
 

@@ -8,28 +8,16 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import linecache
 import os
 import sys
 from collections.abc import Iterable
-from importlib.abc import ExecutionLoader
 from pathlib import Path
+from types import ModuleType
 
 from pipeline.errors import PuddleError
 
 VARIABLE = "PUDDLE_EXTENSIONS"
-
-
-class _Text(ExecutionLoader):
-    """Imports a module from its text."""
-
-    def __init__(self, path: str, text: str) -> None:
-        self._path, self._text = path, text
-
-    def get_filename(self, fullname: str) -> str:  # noqa: ARG002
-        return self._path
-
-    def get_source(self, fullname: str) -> str:  # noqa: ARG002
-        return self._text
 
 
 def given() -> dict[str, list[str]]:
@@ -64,7 +52,7 @@ def import_given() -> None:
     """Import the extensions that are not imported yet."""
     for name, (path, text) in given().items():
         if name not in sys.modules:
-            spec = importlib.util.spec_from_loader(name, _Text(path, text))
-            assert spec is not None and spec.loader is not None
-            sys.modules[name] = module = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(module)
+            sys.modules[name] = module = ModuleType(name)
+            module.__file__ = path
+            linecache.cache[path] = len(text), None, text.splitlines(keepends=True), path  # for tracebacks and inspect
+            exec(compile(text, path, "exec"), vars(module))

@@ -1,78 +1,56 @@
-"""The cache of compiled kernels: numba's own, in a folder of the user's that no edit can make stale.
+"""The cache of compiled kernels on this machine: a file for each, named by a digest of all that it follows from.
 
-numba does not notice the edit of a module that a kernel calls, and runs whatever it finds on the disk. So the folder is
-named by a digest of the kernels' sources, numba and the processor, and lists the SHA-256 of its files. The first kernel
-of a process checks them; a folder that differs from its list is discarded.
-
-A kernel can be compiled from what its module names, and no more. So its sources are its module and what that imports,
-at any depth; for a name that is imported from a package, all that the package imports. A module that a registry finds
-in its folder, such as a user's medium, is none of them; if it has a law, the law's kernel is named by its sources.
+numba's own cache does not notice the edit of a module that a kernel calls. A kernel can be compiled from what its
+module names, and no more. So its sources are its module and what that imports, at any depth; for a name that is
+imported from a package, the package too, but not all of its modules. A medium that a registry finds in its folder, or a
+file of a user's, is a source of its own law alone.
 """
 
 import contextlib
-import fcntl
 import functools
 import hashlib
 import inspect
-import json
 import os
-import re
+import pickle
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import llvmlite.binding
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.compiler import CompileResult
 from numba.core.event import Listener, register
+from numba.core.serialize import dumps
 
 from pipeline.sources import Sources, imported_names, parsed, read_modules
 from tasks.compiled import KERNELS
-from tasks.simulation.batch import needed_kernels
-from tasks.world import Physics
 
-_MAKES_KERNELS = re.compile(rb"\bcompiled\(|\bnumba\.extending\b")  # or teaches numba what kernels call
-_DIGESTS = "digests.json"
+_LANES = "tasks.simd.vectors"  # teaches numba what kernels call, without being imported by them
 
 
-def kernel_sources(modules: Sources) -> Sources:
-    """Select the modules that kernels are compiled from: those that make kernels and, in turn, all that is imported."""
-    return _reached(modules, [name for name, content in modules.items() if _MAKES_KERNELS.search(content)])
-
-
-def _reached(modules: Sources, pending: list[str]) -> Sources:
+def sources_of(modules: Sources, names: set[str]) -> Sources:
+    """Select some modules, and those that they import, at any depth."""
     sources: Sources = {}
+    pending = [*names]
     while pending:
         name = pending.pop()
         if name in modules and name not in sources:
             sources[name] = modules[name]
-            pending += imported_names(parsed(modules[name]))
+            pending += _imports(modules[name])
     return sources
 
 
 @functools.cache
-def cache_folder() -> Path:
-    """Return the folder of the kernels that this code and this machine need."""
-    processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()
-    content = hashlib.sha256(repr((numba.__version__, sys.version_info[:3], processor)).encode())
-    content.update(_joined(kernel_sources(read_modules("tasks"))))
-    return users_folder() / content.hexdigest()[:16]
+def _imports(source: bytes) -> list[str]:
+    return [*imported_names(parsed(source))]
 
 
-def _joined(sources: Sources) -> bytes:
-    return b"".join(f"\0{name}\0".encode() + source for name, source in sorted(sources.items()))
-
-
-@functools.cache
-def _place(module: str) -> str:
-    """Name the module of a kernel, and its sources where the folder does not: those of a law in a file of its own."""
-    modules = read_modules("tasks")
-    if module in kernel_sources(modules):
-        return module
-    own = inspect.getsource(sys.modules[module]).encode()
-    return f"{module}-{hashlib.sha256(_joined(_reached({**modules, module: own}, [module]))).hexdigest()[:16]}"
+def kernel_sources(function: Callable[..., Any]) -> Sources:
+    """Return what a kernel is compiled from: the modules of its name and of its code, and their imports."""
+    modules, names = read_modules("tasks"), {function.__module__, function.__globals__["__name__"]}
+    own = {name: inspect.getsource(sys.modules[name]).encode() for name in names - modules.keys()}
+    return sources_of(modules | own, names | {_LANES})
 
 
 def users_folder() -> Path:
@@ -83,49 +61,8 @@ def users_folder() -> Path:
             own = Path(folder).expanduser() / f"puddle-{os.getuid()}"
             own.mkdir(mode=0o700, parents=True, exist_ok=True)
             if own.stat().st_uid == os.getuid() and os.access(own, os.W_OK):  # code is run: the user's own only
-                with _locked(own):  # not every file system has locks
-                    return own
+                return own
     return Path(tempfile.mkdtemp(prefix="puddle-"))
-
-
-def is_sound(folder: Path) -> bool:
-    """Return whether a folder holds the files that it lists, and no other kernels."""
-    try:
-        listed = json.loads((folder / _DIGESTS).read_bytes())
-    except FileNotFoundError:
-        listed = {}
-    except ValueError:
-        return False
-    return bool(listed == _digests(folder))
-
-
-def kernel_files(folder: Path) -> list[Path]:
-    """List the files of numba's cache: an index and compiled code for each kernel."""
-    return sorted(path for path in folder.glob("*") if path.suffix in (".nbi", ".nbc"))
-
-
-def _digests(folder: Path) -> dict[str, str]:
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in kernel_files(folder)}
-
-
-@contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    folder.mkdir(mode=0o700, exist_ok=True)
-    with (folder / "lock").open("a+b") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
-
-@functools.cache
-def checked_folder() -> Path:
-    """Return the folder of the kernels once it is sound, which the first kernel of a process asks for."""
-    folder = cache_folder()
-    with contextlib.suppress(OSError), _locked(folder):  # else every process compiles its own
-        if not is_sound(folder):
-            _warn(f"the compiled kernels in {folder} are damaged and are compiled again")
-            for path in (*kernel_files(folder), folder / _DIGESTS):
-                path.unlink(missing_ok=True)
-    return folder
 
 
 @functools.cache
@@ -134,59 +71,44 @@ def _warn(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
 
-class _Locator:
-    """Tells numba where the files of a kernel are, and what they are called."""
+class KernelCache:
+    """The compiled code of one kernel, as numba asks for it by signature."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
+        """Open the cache of a kernel, given its Python function."""
         self._module = function.__module__
+        self._source = hashlib.sha256(repr((function.__qualname__, sorted(kernel_sources(function).items()))).encode())
 
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], _file: str) -> "_Locator":
-        return cls(function)
+    def _file(self, signature: Any, codegen: Any) -> Path:
+        digest = self._source.copy()
+        digest.update(repr((signature, codegen.magic_tuple(), numba.__version__, sys.version_info[:3])).encode())
+        return users_folder() / f"{self._module}-{digest.hexdigest()[:16]}"
 
-    def get_cache_path(self) -> str:
-        return str(checked_folder())
-
-    def get_source_stamp(self) -> str:
-        return ""  # the folder's name is a digest of the sources
-
-    def get_disambiguator(self) -> str:
-        return _place(self._module)
-
-    def ensure_cache_path(self) -> None:
-        pass
-
-
-class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]  # numba has no types
-    _locator_classes = (_Locator,)
-
-
-class KernelCache(FunctionCache):  # type: ignore[misc]
-    """numba's cache of one kernel."""
-
-    _impl_class = _Implementation
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the compiled kernel, and list its files."""
-        folder = checked_folder()
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return the code for a signature, None if it is not here; a damaged file counts as none."""
+        target_context.refresh()
+        file = self._file(signature, target_context.codegen())
         try:
-            with _locked(folder):
-                super().save_overload(sig, data)
-                draft = folder / f".{_DIGESTS}"
-                draft.write_text(json.dumps(_digests(folder), indent=1))
-                draft.replace(folder / _DIGESTS)
+            content = file.read_bytes()
+        except OSError:
+            return None
+        if hashlib.sha256(content[32:]).digest() == content[:32]:
+            return CompileResult._rebuild(target_context, *pickle.loads(content[32:]))
+        print(f"the compiled kernel {file} is damaged and is compiled again", file=sys.stderr, flush=True)
+        return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep the code for a signature."""
+        code, file = dumps(result._reduce()), self._file(signature, result.codegen)
+        draft = file.with_name(f".{file.name}-{os.getpid()}")
+        try:
+            draft.write_bytes(hashlib.sha256(code).digest() + code)
+            draft.replace(file)
         except OSError as error:
             _warn(f"a compiled kernel could not be kept for the next process: {error}")
 
 
-def seconds_to_compile(physics: Physics) -> float:
-    """Return about how long the kernels take that an evolution needs and this machine has not compiled yet [s]."""
-    there = {path.name.partition(".py")[0] for path in kernel_files(cache_folder())}
-    names = {function: f"{function.__qualname__}-{_place(function.__module__)}" for function in needed_kernels(physics)}
-    return float(sum(KERNELS[one] for one, name in names.items() if not any(kept.endswith(name) for kept in there)))
-
-
-class _Announcement(Listener):  # type: ignore[misc]
+class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
     """Prints a line when a kernel is compiled because it was not in the cache."""
 
     def on_start(self, event: Any) -> None:

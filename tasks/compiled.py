@@ -9,7 +9,7 @@ import numba
 import numba.extending
 from numba.core.caching import NullCache
 
-from tasks import kernel_cache
+import tasks
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -26,7 +26,7 @@ class _Cache(NullCache):  # type: ignore[misc]  # numba has no types
     @cached_property
     def _opened(self) -> Any:
         in_a_file = hasattr(sys.modules.get(self._function.__module__), "__file__")  # and not in a notebook
-        return kernel_cache.open_cache(self._function) if kernel_cache.open_cache and in_a_file else NullCache()
+        return tasks.open_kernel_cache(self._function) if tasks.open_kernel_cache and in_a_file else NullCache()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         return self._opened.load_overload(sig, target_context)

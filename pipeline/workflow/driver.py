@@ -9,7 +9,6 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from pipeline import kernels
 from pipeline.cluster import Cluster
 from pipeline.cluster.process import signals_unwind
 from pipeline.config.settings import Settings
@@ -65,8 +64,7 @@ def drive(
 
         @functools.cache
         def cluster() -> Cluster:
-            if kernels.seconds_to_compile(settings.physics):
-                compile_kernels(settings.physics)
+            compile_kernels(settings.physics)
             progress.say("starting the cluster")
             return stack.enter_context(open_cluster())
 

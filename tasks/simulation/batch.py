@@ -5,12 +5,8 @@ links collide are stepped one by one (tasks/simulation/rigid_bodies). It uses on
 core.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
-from tasks.compiled import KERNELS
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simd.lanes import widest
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
@@ -21,12 +17,6 @@ from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.trees.groups import Groups
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
 from tasks.world import Environment, Physics
-
-
-def needed_kernels(physics: Physics) -> list[Callable[..., Any]]:
-    """List the kernels that an evolution needs, of the modules imported so far."""
-    unused = "trees" if _needs_rigid_bodies(physics) else "rigid_bodies"
-    return [function for function in KERNELS if f".{unused}." not in function.__module__]
 
 
 def scene_of(environment: Environment, physics: Physics) -> Scene:
