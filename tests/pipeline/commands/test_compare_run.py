@@ -13,15 +13,14 @@ import yaml
 from command_line import call as called
 
 from pipeline.bench.fabrication.kit_files import KIT, write_folder
-from pipeline.bench.vision.markers_file import RobotTags, markers_of
+from pipeline.bench.vision.markers_file import RobotTags
 from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
 from pipeline.report.run_page import verdict
 from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_json
 from tasks.analysis.built_run import RunComparison, SteadyRun, steady_speed
-from tasks.bench.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
-from tasks.bench.fabrication.throwing_bars import throwing_bars
+from tasks.bench.fabrication.kit_settings import FabricationSettings, ThrowingKit
 from tasks.bench.fabrication.timeline import Playback
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush, Slush, TrueSlush, froude_time
@@ -181,12 +180,11 @@ def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, t
     directions at the start and at the end, the way between would be wrong by 1 mm.
     """
     pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
-    from benchmarks.synthetic_run import film_run
-    from benchmarks.synthetic_tank import TankCamera, TankScene
+    from synthetic_run import film_run
+    from synthetic_tank import TankCamera, TankScene, markers_of_tank
 
     folder, _, speed = run
-    tank = ThrowingKit(tank_length=0.64, tank_height=0.46, waterline=0.12)
-    markers = markers_of(tank, throwing_bars(tank, KitSettings(), 1000.0))
+    markers = markers_of_tank(ThrowingKit(tank_length=0.64, tank_height=0.46, waterline=0.12))
     markers = markers.model_copy(update={"robot": RobotTags(tag_size=0.025)})  # 4 px for each of its squares
     (tmp_path / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json")))
     camera = TankCamera(width=800, height=592, field=0.82, distance=1.1, rate=12, exposure=0.004)

@@ -67,7 +67,7 @@ def test_the_angle_of_a_small_tag_has_no_bias(tank):
     A corner that is sought too near to where the outline of the tag was first seen stays there: this turns the tag by
     up to 1.5°, to the left at 20° and to the right at 70°.
     """
-    from benchmarks.synthetic_tank import sticker
+    from synthetic_tank import sticker
 
     size, scene = tank.scene.markers.robot.tag_size, tank.scene
     plane, detector = scene.camera.plane(scene.middle, scene.behind), Detector(tank.scene.markers)

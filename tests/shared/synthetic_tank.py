@@ -1,17 +1,16 @@
-"""A synthetic camera before a tank: `python -m benchmarks.synthetic_tank --out DIR` films throws into the true slush.
+"""A synthetic camera before a tank: `python tests/shared/synthetic_tank.py --out DIR` films throws into the true slush.
 
-`--noise 0.3` writes tracks in place of videos, with so much noise; docs/tank-sample.csv has 50 throws of that.
+`--noise 0.3` writes tracks in place of videos, with so much noise [mm]; docs/tank-sample.csv has 50 throws of that.
 
 The throws are those of the simulator at bench scale. Every pixel takes the colour of the tag, the bar or the water
 that its ray meets, averaged over the exposure; then come noise, eight bits and H.264. Lens distortion and perspective
-are those of rays. NumPy and OpenCV alone.
+are those of rays.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -33,12 +32,14 @@ from tasks.simulation.free_links import FreeLinks
 from tasks.world import Physics, Slush, froude_time
 
 SCALE = 0.07  # bench metres per simulated metre
-_PER_MM = 6.0  # texels of a bar's picture per millimetre
-_N_INSTANTS = 8  # over which an exposure is averaged
+TIME = froude_time(SCALE)  # bench seconds per simulated second
+UNITS = np.array((SCALE, SCALE, 1, SCALE / TIME, SCALE / TIME, 1 / TIME))  # of a state, at bench scale
+_TEXELS = 6000.0  # of a bar's picture per metre
+_N_INSTANTS = 4  # over which an exposure is averaged
 _COARSE = 16  # pixels of the grid on which the part of a picture that shows a bar is found
 _MASS = 0.098  # of a bar that is 25 mm thick [kg]
 _FINE = 16  # steps of the tank in one of the base simulator
-_BLANK = 0.15  # between two throws [s]
+_BLANK = 0.15  # before each throw [s]
 _AIR, _WATER, _PAPER, _INK = 205.0, 165.0, 240.0, 25.0  # grey levels
 
 
@@ -61,7 +62,6 @@ class TankCamera:
 
     @property
     def lens(self) -> Lens:
-        """Its lens."""
         focal = self.width * self.distance / self.field
         return Lens((focal, focal), (self.width / 2 + 4.3, self.height / 2 - 7.1), self.distortion)
 
@@ -73,12 +73,9 @@ class TankCamera:
         return self.lens.rays(pixels).reshape(self.height, self.width, 2).astype(np.float32)
 
     def plane(self, middle: Sequence[float], behind: float, rotation: Float64 | None = None) -> SeenPlane:
-        """Return a plane parallel to the tank's front.
+        """Return a plane that is so far behind the tank's front [m], of which the camera looks at ``middle`` [m].
 
-        Args:
-            middle: point of the tank that it looks at [m].
-            behind: distance of the plane behind the front [m].
-            rotation: (3, 3) rotation of the plane from x to the right and y up; the camera's own tilt by default.
+        ``rotation`` turns it from x to the right and y up; the camera's own tilt by default.
         """
         cy, sy, cp, sp = np.cos(self.yaw), np.sin(self.yaw), np.cos(self.pitch), np.sin(self.pitch)
         tilt = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
@@ -86,33 +83,31 @@ class TankCamera:
         origin = turn @ np.array([-middle[0], -middle[1], behind]) + (0, 0, self.distance)
         return SeenPlane(self.lens, np.column_stack((turn[:, 0], turn[:, 1], origin)))
 
+    def points(self, plane: SeenPlane) -> Float32:
+        """Return where the rays of all pixels meet a plane [m]."""
+        scaled = self.rays @ (back := np.linalg.inv(plane.to_rays).astype(np.float32))[:, :2].T + back[:, 2]
+        return scaled[..., :2] / scaled[..., 2:]
 
-def _met(rays: Float32, plane: SeenPlane) -> Float32:
-    """Return where rays meet a plane [m]."""
-    back = np.linalg.inv(plane.to_rays).astype(np.float32)
-    scaled = [back[i, 0] * rays[..., 0] + back[i, 1] * rays[..., 1] + back[i, 2] for i in range(3)]
-    return np.stack((scaled[0] / scaled[2], scaled[1] / scaled[2]), axis=-1)
+    def exposed(self, picture: Float32, rng: np.random.Generator) -> Picture:
+        noisy = picture + self.noise * rng.standard_normal(picture.shape, dtype=np.float32)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 @cache
 def _face(bar: TaggedBar, dictionary: Dictionary, pixel: float) -> tuple[Float32, Float32]:
     """Return a bar's face times its cover, and its cover, blurred by the footprint of a pixel [m]."""
     border = 8
-    height, width = (round(1000 * _PER_MM * side) for side in (bar.length, bar.width))
-    face = np.full((height + 2 * border, width + 2 * border), 0.0, np.float32)
-    cover = np.zeros_like(face)
-    cover[border:-border, border:-border] = 1.0
-    face[border:-border, border:-border] = _PAPER
+    height, width = (round(_TEXELS * side) for side in (bar.length, bar.width))
+    cover = np.pad(np.ones((height, width), np.float32), border)
+    face = _PAPER * cover
     for tag in bar.tags:
-        side = round(1000 * _PER_MM * tag.size)
-        black = cv2.resize(
-            modules(dictionary, tag.number).astype(np.float32), (side, side), interpolation=cv2.INTER_NEAREST
-        )
-        top = round(face.shape[0] / 2 - 1000 * _PER_MM * tag.along - side / 2)
-        left = round(face.shape[1] / 2 + 1000 * _PER_MM * tag.across - side / 2)
+        side, black = round(_TEXELS * tag.size), modules(dictionary, tag.number).astype(np.float32)
+        top = round(face.shape[0] / 2 - _TEXELS * tag.along - side / 2)
+        left = round(face.shape[1] / 2 + _TEXELS * tag.across - side / 2)
+        black = cv2.resize(black, (side, side), interpolation=cv2.INTER_NEAREST)
         face[top : top + side, left : left + side] += (_INK - _PAPER) * black
-    footprint = 0.5 * 1000 * _PER_MM * pixel  # half a pixel [texels]
-    return cv2.GaussianBlur(face, (0, 0), footprint), cv2.GaussianBlur(cover, (0, 0), footprint)
+    face, cover = (cv2.GaussianBlur(picture, (0, 0), 0.5 * _TEXELS * pixel) for picture in (face, cover))
+    return face, cover
 
 
 @dataclass(frozen=True)
@@ -137,20 +132,17 @@ class TankScene:
     @cached_property
     def background(self) -> Float32:
         """The picture without a bar."""
-        at = self._points(self.camera.plane(self.middle, 0.0))
+        at = self.camera.points(self.camera.plane(self.middle, 0.0))
         picture = np.where(at[..., 1] < self.level, _WATER, _AIR) + 12 * np.sin(9 * at[..., 0]) * np.cos(7 * at[..., 1])
         picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0)
-        tags = [(tag.number, tag.x, tag.y) for tag in self.markers.tank.corners]
-        for number, x, y in tags:
-            picture = self._with(picture, at, sticker(number, self.markers.tank.tag_size), np.array([[x, y, 0.0]]))
+        for tag in self.markers.tank.corners:
+            there = np.array([[tag.x, tag.y, 0.0]])
+            picture = self._with(picture, at, sticker(tag.number, self.markers.tank.tag_size), there)
         return picture
 
     @cached_property
     def _bars_plane(self) -> Float32:
-        return self._points(self.camera.plane(self.middle, self.behind))
-
-    def _points(self, plane: SeenPlane) -> Float32:
-        return _met(self.camera.rays, plane)
+        return self.camera.points(self.camera.plane(self.middle, self.behind))
 
     def _with(self, picture: Float32, at: Float32, bar: TaggedBar, poses: Float64) -> Float32:
         """Draw a bar at the poses of an exposure."""
@@ -159,16 +151,14 @@ class TankScene:
         reach = np.hypot(bar.length, bar.width) / 2 + 0.005 + _COARSE * pixel
         low, high = poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach
         inside = ((at[::_COARSE, ::_COARSE] >= low) & (at[::_COARSE, ::_COARSE] <= high)).all(axis=2)
-        rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
-        if not len(rows):
+        if not inside.any():
             return picture
-        height, width = (slice(_COARSE * int(of[0]), _COARSE * (int(of[-1]) + 1)) for of in (rows, columns))
-        window = height, width
-        colour = np.zeros(picture[window].shape, np.float32)
-        share = np.zeros_like(colour)
+        rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+        window = tuple(slice(_COARSE * int(of[0]), _COARSE * (int(of[-1]) + 1)) for of in (rows, columns))
+        colour, share = np.zeros((2, *picture[window].shape), np.float32)
         for x, y, angle in poses.astype(np.float32):
             dx, dy = at[window][..., 0] - x, at[window][..., 1] - y
-            c, s, texels = np.cos(angle), np.sin(angle), np.float32(1000 * _PER_MM)
+            c, s, texels = np.cos(angle), np.sin(angle), np.float32(_TEXELS)
             u = (c * dx + s * dy) * texels + (face.shape[1] - 1) / 2
             v = (s * dx - c * dy) * texels + (face.shape[0] - 1) / 2
             colour += cv2.remap(face, u, v, cv2.INTER_LINEAR)  # premultiplied by its cover
@@ -178,117 +168,94 @@ class TankScene:
         return drawn
 
     def shot(self, shown: Sequence[tuple[TaggedBar, Float64]]) -> Picture:
-        """Take a picture of bars, each at the (n, 3) poses of an exposure in the tank's frame, the last one on top."""
+        """Take a picture of bars, each at the (n, 3) poses of an exposure over the waterline, the last one on top."""
         picture = self.background
         for bar, poses in shown:
-            picture = self._with(picture, self._bars_plane, bar, poses)
-        noisy = picture + self.camera.noise * self.rng.standard_normal(picture.shape, dtype=np.float32)
-        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+            picture = self._with(picture, self._bars_plane, bar, poses + np.array((0.0, self.level, 0.0)))
+        return self.camera.exposed(picture, self.rng)
+
+    def film(
+        self, out: Path, n_frames: int, shown_at: Callable[[Float64], Sequence[tuple[TaggedBar, Float64]]]
+    ) -> list[Float64]:
+        """Film what ``shown_at`` returns for instants [s]. Returns the instants of every frame that the file holds."""
+        camera, held = self.camera, []
+        with film(out, width=camera.width, height=camera.height, rate=camera.rate, quality=camera.quality) as add:
+            for frame in range(n_frames):
+                if frame == 0 or self.rng.random() >= camera.drop:
+                    opens = frame / camera.rate
+                    held.append(opens + camera.exposure * (np.arange(_N_INSTANTS) + 0.5) / _N_INSTANTS)
+                    add(self.shot(shown_at(held[-1])), opens)
+        return held
 
 
 def sticker(number: int, size: float) -> TaggedBar:
-    """Return a tag on white paper.
-
-    Args:
-        number: of the tag.
-        size: edge of its black square [m].
-    """
+    """Return a tag of a size [m] on white paper."""
     sheet = {"length": 1.4 * size, "width": 1.4 * size, "mass": 1.0}
     return TaggedBar.model_validate(sheet | {"tags": [{"number": number, "size": size}]})
 
 
 def states_of(starts: Starts, seconds: float) -> tuple[Float32, Float64]:
-    """Simulate throws into the true slush.
+    """Simulate throws into the true slush for a time at bench scale [s].
 
-    Args:
-        starts: initial states.
-        seconds: duration at bench scale [s].
-
-    Returns:
-        (n_throws, n_steps + 1, 6) simulated states and (n_steps + 1,) times at bench scale [s].
+    Returns (n_throws, n_steps + 1, 6) simulated states, and (n_steps + 1,) times at bench scale [s].
     """
     physics = Physics(time_step=Physics().time_step / _FINE)
-    step = physics.time_step * froude_time(SCALE)
-    n_steps = int(np.ceil(seconds / step))
+    n_steps = int(np.ceil(seconds / (physics.time_step * TIME)))
     links, states = FreeLinks(starts.length_scale, physics), [starts.state]
     for _ in range(n_steps):
         states.append(links.step(states[-1], Slush()))
-    return np.stack(states, axis=1), step * np.arange(n_steps + 1)
+    return np.stack(states, axis=1), physics.time_step * TIME * np.arange(n_steps + 1)
 
 
-def render(out: Path, scene: TankScene, starts: Starts, bars: Sequence[int], seconds: float) -> list[tuple[float, ...]]:
-    """Film throws one after another.
+TRUTH = ("throw", "time", "x", "y", "angle", "vx", "vy", "omega")
 
-    Args:
-        out: the MP4 file.
-        scene: tank and camera.
-        starts: initial states in the simulation; x is from the middle of the tank.
-        bars: the bar of each throw.
-        seconds: duration of each throw [s].
 
-    Returns:
-        Rows of the truth: throw, time [s], x, y over the waterline [m], angle [rad], vx, vy [m/s], ω [rad/s] and the
-        time since the throw began [s], all at bench scale, for every frame that the file holds.
+def film_throws(out: Path, scene: TankScene, starts: Starts, bars: Sequence[int], seconds: float) -> Float64:
+    """Film throws of a kit's bars from starts in the simulation, one after another, each for some time [s].
+
+    Returns the columns TRUTH of every frame that the file holds, at bench scale and over the waterline.
     """
-    camera, rows = scene.camera, []
-    states, time = states_of(starts, seconds + camera.exposure)
-    x_middle, speed = float(scene.middle[0]), SCALE / froude_time(SCALE)
-    n_blank, n_frames = round(_BLANK * camera.rate), round(seconds * camera.rate)
-    number = 0
-    with film(out, width=camera.width, height=camera.height, rate=camera.rate, quality=camera.quality) as add:
-        for throw, bar in enumerate(bars):
-            for frame in range(-n_blank, n_frames):
-                number += 1
-                dropped = scene.rng.random() < camera.drop
-                if dropped and number > 1:
-                    continue
-                opens = frame / camera.rate
-                instants = opens + camera.exposure * (np.arange(_N_INSTANTS) + 0.5) / _N_INSTANTS
-                path = states[throw].astype(np.float64)
-                poses = np.column_stack([np.interp(instants, time, path[:, i]) for i in range(3)]) * (SCALE, SCALE, 1)
-                there = poses + np.array((x_middle, scene.level, 0.0))
-                shown = [] if frame < 0 else [(scene.markers.bars[bar], there)]
-                add(scene.shot(shown), (number - 1) / camera.rate)
-                if frame >= 0:
-                    velocity = path[int(np.searchsorted(time, instants.mean())), 3:] * (
-                        speed,
-                        speed,
-                        1 / froude_time(SCALE),
-                    )
-                    x, y, angle = poses.mean(axis=0)
-                    rows.append((throw, (number - 1) / camera.rate, x + x_middle, y, angle, *velocity, instants.mean()))
-    return rows
+    rate = scene.camera.rate
+    states, time = states_of(starts, seconds + scene.camera.exposure)
+    n_blank, n_seen = round(_BLANK * rate), round(seconds * rate)
+
+    def motion(instants: Float64) -> tuple[int, Float64] | None:
+        """Return the throw and its (n_instants, 6) states; None between throws."""
+        throw, frame = divmod(int(instants[0] * rate), n_blank + n_seen)
+        if frame < n_blank:
+            return None
+        since = instants - (throw * (n_blank + n_seen) + n_blank) / rate
+        state = np.column_stack([np.interp(since, time, path) for path in states[throw].T]) * UNITS
+        return throw, state + np.array((scene.middle[0], 0, 0, 0, 0, 0))
+
+    def shown_at(instants: Float64) -> list[tuple[TaggedBar, Float64]]:
+        moved = motion(instants)
+        return [] if moved is None else [(scene.markers.bars[bars[moved[0]]], moved[1][:, :3])]
+
+    held = scene.film(out, len(bars) * (n_blank + n_seen), shown_at)
+    shown = [(round(instants[0] * rate) / rate, *moved) for instants in held if (moved := motion(instants))]
+    return np.array([(throw, opens, *state.mean(axis=0)) for opens, throw, state in shown])
 
 
 def film_board(out: Path, camera: TankCamera, markers: Markers, n_views: int, rng: np.random.Generator) -> None:
-    """Film the printed board from several sides.
-
-    Args:
-        out: the MP4 file.
-        camera: the camera.
-        markers: which board it is.
-        n_views: number of frames.
-        rng: source of randomness of the board's poses.
-    """
+    """Film the printed board of a markers file from several sides, one a frame."""
     board = markers.board
     size = (board.columns * board.square, board.rows * board.square)
-    texels = 1000 * _PER_MM / 2
+    texels = _TEXELS / 2
     pixels = (round(size[0] * texels), round(size[1] * texels))
     texture = charuco_board(board, markers.dictionary).generateImage(pixels, marginSize=0).astype(np.float32)
     texture = _INK + (_PAPER - _INK) / 255 * texture
     near = size[0] / camera.field / 0.55  # the board fills half of the picture
     close = replace(camera, distance=camera.distance * near, field=camera.field * near)  # with the same lens
-    footprint = 0.5 * texels * close.field / camera.width
-    texture = cv2.GaussianBlur(texture, (0, 0), footprint)
+    texture = cv2.GaussianBlur(texture, (0, 0), 0.5 * texels * close.field / camera.width)
     with film(out, width=camera.width, height=camera.height, rate=10, quality=camera.quality) as add:
         for _ in range(n_views):
             turn, _ = cv2.Rodrigues(rng.uniform((-0.5, -0.5, -0.3), (0.5, 0.5, 0.3)))
             shift = rng.uniform(-0.25, 0.25, 2) * (close.field, close.field * camera.height / camera.width)
-            at = _met(camera.rays, close.plane(np.array(size) / 2 + shift, 0.0, turn))
+            at = camera.points(close.plane(np.array(size) / 2 + shift, 0.0, turn))
             u, v = at[..., 0] * np.float32(texels) - 0.5, (size[1] - at[..., 1]) * np.float32(texels) - 0.5
             picture = cv2.remap(texture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=_WATER)
-            noisy = picture + camera.noise * rng.standard_normal(picture.shape, dtype=np.float32)
-            add(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+            add(camera.exposed(picture, rng))
 
 
 def throws_for_bars(n: int, markers: Markers, rng: np.random.Generator) -> tuple[Starts, list[int]]:
@@ -299,65 +266,59 @@ def throws_for_bars(n: int, markers: Markers, rng: np.random.Generator) -> tuple
     return Starts(starts.throw, lengths[bars], starts.state), bars.tolist()
 
 
-def write_tracks(
-    out: Path, starts: Starts, *, seconds: float, rate: float, noise_mm: float, rng: np.random.Generator
-) -> None:
+def write_csv(path: Path, names: Sequence[str], columns: Float64, formats: str) -> None:
+    np.savetxt(path, columns, formats, header=",".join(names), comments="")
+
+
+def write_tracks(out: Path, starts: Starts, *, seconds: float, noise_mm: float, rng: np.random.Generator) -> None:
     """Write tracks.csv and tracks-bars.csv: poses at frames with Gaussian noise, of angles as many degrees as mm."""
     states, time = states_of(starts, seconds)
-    frames = np.arange(round(seconds * rate)) / rate
+    frames = np.arange(round(seconds * TankCamera.rate)) / TankCamera.rate
     deviation = np.array((noise_mm / 1000, noise_mm / 1000, np.radians(noise_mm)))
-    bars = np.stack((starts.throw, starts.length_scale * SCALE, SCALE / starts.length_scale), axis=1)
     tracks = []
     for throw, path in zip(starts.throw, states.astype(np.float64), strict=True):
-        pose = np.column_stack([np.interp(frames, time, path[:, i]) for i in range(3)]) * (SCALE, SCALE, 1)
+        pose = np.column_stack([np.interp(frames, time, path[:, i]) for i in range(3)]) * UNITS[:3]
         noisy = pose + deviation * rng.standard_normal(pose.shape)
         tracks.append(np.column_stack((np.full(len(frames), throw), frames, noisy)))
-    for name, header, columns, formats in (
-        ("tracks", "throw,time,x,y,angle", np.concatenate(tracks), "%d,%.5f,%.5f,%.5f,%.4f"),
-        (
-            "tracks-bars",
-            "throw,length,width,mass",
-            np.column_stack((bars, np.full(len(bars), _MASS))),
-            "%d,%.4f,%.4f,%.3f",
-        ),
-    ):
-        np.savetxt(out / f"{name}.csv", columns, formats, header=header, comments="")
+    write_csv(out / "tracks.csv", TRUTH[:5], np.concatenate(tracks), "%d,%.5f,%.5f,%.5f,%.4f")
+    bars = (starts.throw, starts.length_scale * SCALE, SCALE / starts.length_scale, np.full(len(starts.throw), _MASS))
+    write_csv(out / "tracks-bars.csv", ("throw", "length", "width", "mass"), np.column_stack(bars), "%d,%.4f,%.4f,%.3f")
 
 
-def write_truth(path: Path, rows: Sequence[tuple[float, ...]]) -> None:
-    """Write the truth as CSV."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("throw", "time", "x", "y", "angle", "vx", "vy", "omega", "since"))
-        writer.writerows(rows)
+def markers_of_tank(tank: ThrowingKit) -> Markers:
+    """Return the markers of a throwing kit for a tank."""
+    return markers_of(tank, throwing_bars(tank, KitSettings(), 1000.0))
+
+
+LARGE_TANK = ThrowingKit(tank_length=1.1, tank_height=0.62, waterline=0.32)
+
+
+def write_beside(folder: Path, camera: TankCamera, markers: Markers, rng: np.random.Generator) -> None:
+    """Write what `puddle track` needs beside a video: board.mp4 and markers.yaml."""
+    film_board(folder / "board.mp4", camera, markers, 12, rng)
+    (folder / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False))
 
 
 def main() -> None:
-    """Film throws and a board, and write what is true of them."""
+    """Film throws and a board, and write what is true of them; or write tracks."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--out", type=Path, required=True)
     options.add_argument("--throws", type=int, default=4)
-    options.add_argument("--seconds", type=float, default=0.5)
-    options.add_argument("--rate", type=float, default=60.0)
-    options.add_argument("--exposure", type=float, default=TankCamera.exposure)
     options.add_argument("--noise", type=float, help="write tracks with so much noise [mm] in place of videos")
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    throwing = ThrowingKit(tank_length=1.1, tank_height=0.62, waterline=0.32)
-    markers = markers_of(throwing, throwing_bars(throwing, KitSettings(), 1000.0))
-    camera = TankCamera(rate=given.rate, exposure=given.exposure)
-    rng = generator(given.seed, "synthetic tank", given.rate)
+    markers, seconds = markers_of_tank(LARGE_TANK), 0.5
+    rng = generator(given.seed, "synthetic tank", TankCamera.rate)
     starts, bars = throws_for_bars(given.throws, markers, rng)
     if given.noise is not None:
-        write_tracks(given.out, starts, seconds=given.seconds, rate=given.rate, noise_mm=given.noise, rng=rng)
-        return
-    rows = render(given.out / "throws.mp4", TankScene(camera, markers, rng=rng), starts, bars, given.seconds)
-    write_truth(given.out / "truth.csv", rows)
-    film_board(given.out / "board.mp4", camera, markers, 12, rng)
-    document = yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)
-    (given.out / "markers.yaml").write_text(document, encoding="utf-8")
-    print(f"{given.throws} throws of {given.seconds:g} s in {given.out}")
+        write_tracks(given.out, starts, seconds=seconds, noise_mm=given.noise, rng=rng)
+    else:
+        scene = TankScene(TankCamera(), markers, rng=rng)
+        truth = film_throws(given.out / "throws.mp4", scene, starts, bars, seconds)
+        write_csv(given.out / "truth.csv", TRUTH, truth, "%d,%.5f,%.6f,%.6f,%.5f,%.4f,%.4f,%.4f")
+        write_beside(given.out, scene.camera, markers, rng)
+    print(f"{given.throws} throws of {seconds:g} s in {given.out}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Three fluids that wetted networks were not made for; docs/throws.md says how well they do there.
 
-Copied to ``tasks/world``, the file registers them, and ``--set target=point_drag`` throws links into one.
+``--with docs/results/other_fluids.py`` registers them, and ``--set target=point_drag`` throws links into one.
 """
 
 import numpy as np

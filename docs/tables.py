@@ -1,0 +1,301 @@
+"""Write the tables of README.md and docs from results files: `.venv/bin/python docs/tables.py`.
+
+A table stands between `<!-- table NAME of FILES -->` and `<!-- end -->`: NAME is a function below, FILES results files.
+Most are made of results.json of `puddle export`, or list several of those as `studies`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import Field, make_dataclass
+from os.path import relpath
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+from scipy.stats import ttest_ind
+
+from pipeline.report.render import as_markdown
+from tasks.analysis import paper
+from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
+from tasks.analysis.registry import column
+from tasks.analysis.tables.transfer import papers_mean
+from tasks.world import environment_kind
+
+ROOT = Path(__file__).resolve().parents[1]
+SECTION = re.compile(r"<!-- table (\w+) of (.+?) -->\n.*?<!-- end -->", re.S)
+
+Results = Mapping[str, Any]
+Tabulate = Callable[..., Iterable[tuple[Any, ...]]]
+TABLES: dict[str, tuple[type, Tabulate]] = {}
+
+
+def table(*columns: Field[Any]) -> Callable[[Tabulate], Tabulate]:
+    """Register a function that yields rows of a table, a value for each column."""
+
+    def register(tabulate: Tabulate) -> Tabulate:
+        row = make_dataclass("Row", [(f"column_{i}", Any, column) for i, column in enumerate(columns)])
+        TABLES[tabulate.__name__] = row, tabulate
+        return tabulate
+
+    return register
+
+
+def text(label: str, form: str = "{}") -> Any:
+    """Describe a column of words."""
+    return column(label, form=form)
+
+
+def metres(label: str) -> Any:
+    """Describe a column of displacements."""
+    return column(label, "m")
+
+
+def share(label: str) -> Any:
+    """Describe a column of shares, with their intervals if they are estimates."""
+    return column(label, form="{:z.0%}")
+
+
+def shares_by(label: str) -> Any:
+    """Describe a column of several shares."""
+    return column(label, form=lambda of: ", ".join(f"{one:z.0%}" for one in of))
+
+
+# -- how far champions go --------------------------------------------------------------------------------------------
+
+
+@table(text("evolved in"), metres("predicted"), metres("zero-shot"), share("of *E*"), share("adapted, of *E*"))
+def shares(study: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate how far champions go at 9 m."""
+    for arm in study["arms"]:
+        name, zero_shot = arm["environment"], arm["zero_shot"]["mean"]
+        if name == "true_slush" and arm["depth"] == paper.DEPTH:
+            yield _label(name), None, zero_shot, None, None
+        elif name != "designed_single_member" and arm["depth"] == paper.DEPTH:
+            of = (_of_best(study, name, score) for score in ("zero_shot", "adapted"))
+            yield _label(name), arm["predicted"]["mean"], zero_shot, *of
+
+
+@table(text("robots evolved"), text("trials"), share("zero-shot"), share("paper"), share("adapted"), share("paper"))
+def front(large: Results, small: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate shares of the same *E*, that of the second study, at 9 m, beside the paper's numbers."""
+    for evolved, study, name in (
+        ("on dry land", small, "dry_land"),
+        ("under large networks, from the paper’s throws", large, "residual_slush"),
+        ("under small networks, from designed throws", small, "designed_throws"),
+        ("in slushes drawn at random around the true one", small, "randomised_slush"),
+    ):
+        row: list[Any] = []
+        for score in ("zero_shot", "adapted"):
+            papers, whole = papers_mean(name, score, paper.DEPTH), papers_mean(*paper.BEST, paper.DEPTH)
+            row += [_of_best(study, name, score, best_of=small), papers and whole and papers / whole]
+        yield evolved, len(_sample(study, name, "zero_shot").values), *row
+
+
+@table(
+    text("depth [m]", "{:g}"),
+    metres("*E*"),
+    share("Dry Land, *E′*"),
+    share("Residual Slush, *Ê*"),
+    share("Randomised Slush, *Ẽ*"),
+    share("Designed throws, *Ê\\**"),
+)
+def depths(study: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate the zero-shot shares of *E* at all depths."""
+    arms = {(arm["environment"], arm["depth"]): arm["zero_shot"]["mean"] for arm in study["arms"]}
+    for depth in sorted({depth for _, depth in arms}):
+        best, names = arms["true_slush", depth], ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
+        yield depth, best, *(arms[name, depth] / best for name in names)
+
+
+@table(
+    text(""), text("paper"), text("8 of 4 × 256 (95 %)"), text("verdict"), text("4 of 2 × 48 (95 %)"), text("verdict")
+)
+def verdicts(*studies: Results) -> Iterable[tuple[Any, ...]]:
+    """Compare the paper's numbers, other than t tests, with those of studies of large and of small networks."""
+    rows: dict[tuple[str, str], list[Any]] = {}
+    for k, study in enumerate(studies):
+        for row in study["comparison"]:
+            if row["interval"] and not row["what"].startswith("Student"):
+                what = re.sub(",? at 9 m", "", row["what"])
+                shown = rows.setdefault((what, row["paper"]), [None] * 2 * len(studies))
+                shown[2 * k : 2 * k + 2] = f"{row['this_run']} ({row['interval']})", row["verdict"]
+    return [(*of, *shown) for of, shown in rows.items()]
+
+
+@table(
+    text(""),
+    text("evolved in"),
+    metres("predicted"),
+    metres("zero-shot"),
+    share("of *E*"),
+    shares_by("by data set"),
+    text("exploiters"),
+)
+def variants(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate studies that differ in one setting."""
+    for study in results["studies"]:
+        best = fmean(_sample(study, "true_slush", "zero_shot", None).values)
+        for arm in (arm for arm in study["arms"] if arm["environment"] != "true_slush"):
+            name, (predicted, true) = arm["environment"], (arm[of]["mean"] for of in ("predicted", "zero_shot"))
+            by_data_set = _by_data_set(_sample(study, name, "zero_shot", None), best)
+            varied = study["variant"] if "throws" in study["series"] else f"{study['series']} {study['variant']}"
+            yield varied, _label(name), predicted, true, true / best, by_data_set, _exploiters([study], name)
+
+
+@table(
+    text("throws"), share("9 m, of *E*"), share("adapted"), share("2 m, of *E*"), share("adapted"), text("exploiters")
+)
+def throws(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate studies of designed throws that differ in throws, networks and depth."""
+    name, studies = "designed_throws", {(one["form"], one["n_throws"], one["depth"]): one for one in results["studies"]}
+    for form, n_throws in dict.fromkeys(key[:2] for key in studies):
+        by_depth = {depth: study for (*what, depth), study in studies.items() if what == [form, n_throws]}
+        of_best = [
+            _of_best(by_depth[depth], name, score, depth) if depth in by_depth else None
+            for depth in (9.0, 2.0)
+            for score in ("zero_shot", "adapted")
+        ]
+        yield f"{n_throws}, {form}", *of_best, _exploiters(by_depth.values(), name)
+
+
+@table(text("fluid"), metres("*E*"), share("25 throws, of *E*"), share("100 throws, of *E*"))
+def fluids(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate studies whose target is another fluid."""
+    for study in results["studies"]:
+        best = _sample(study, study["fluid"], "zero_shot", study["depth"])
+        learned = (_sample(study, name, "zero_shot", study["depth"]) for name in ("t25", "t100"))
+        yield study["label"], fmean(best.values), *(_ratio(of, best) for of in learned)
+
+
+@table(
+    text("learned from"),
+    metres("predicted"),
+    metres("true"),
+    share("of those of exact states"),
+    shares_by("by data set"),
+)
+def tank(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate studies of tracked throws; the first is that of exact states."""
+    exact = None
+    for study in results["studies"]:
+        predicted, true = (
+            _sample(study, "residual_slush", score, study["depth"]) for score in ("predicted", "zero_shot")
+        )
+        of_exact = None if exact is None else _ratio(true, exact)
+        exact = exact or true
+        by_data_set = _by_data_set(true, fmean(exact.values))
+        yield study["learned_from"], fmean(predicted.values), fmean(true.values), of_exact, by_data_set
+
+
+# -- what choices change ---------------------------------------------------------------------------------------------
+
+
+@table(text("decided"), text("instead"), metres("*E*"), text("n"), text("setting", "`{}`"))
+def open_choices(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate what choices change at the paper's scale of evolution."""
+    for row in results["rows"]:
+        yield row["decided"], row["instead"], Mean(row["mean"], row["sd"], row["n"]), row["n"], row["setting"]
+
+
+@table(text("decided"), text("instead"), metres("difference (95 %)"), text("setting", "`{}`"))
+def sensitivity(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate what choices change at a smaller scale of evolution, with Student's interval."""
+    for row in results["rows"]:
+        low, high = ttest_ind(row["displacement"], row["base"]).confidence_interval()
+        difference = Estimate(fmean(row["displacement"]) - fmean(row["base"]), low, high)
+        yield row["decided"], row["instead"], difference, row["setting"]
+
+
+@table(text("decided"), text("instead"), metres("predicted"), metres("zero-shot"), share("of *E*"), text("exploiters"))
+def learning(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate studies that differ in what the networks learn, or how."""
+    name = "residual_slush"
+    for study in results["studies"]:
+        (arm,) = (arm for arm in study["arms"] if arm["environment"] == name)
+        predicted, true = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
+        of_best = _of_best(study, name, "zero_shot", study["depth"])
+        yield study["decided"], study["instead"], predicted, true, of_best, _exploiters([study], name)
+
+
+# -- make bench ------------------------------------------------------------------------------------------------------
+
+
+@table(text("ratio"), text("median", "{:.3g}"), text("spread"), text("at least", "{:g}"))
+def bench(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate the ratios of what ran in the same rounds."""
+    for figure in results["figures"]:
+        if figure["unit"] == "times":
+            spread = f"{min(figure['rounds']):.3g} to {max(figure['rounds']):.3g}"
+            yield figure["name"], figure["median"], spread, figure["bound"]
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+def _label(environment: str) -> str:
+    kind = environment_kind(environment)
+    return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
+
+
+def _exploiters(studies: Iterable[Results], environment: str) -> str:
+    """Count champions of an arm that travel less than half of their prediction."""
+    champions = [row for study in studies for row in study["champions"] if row["environment"] == environment]
+    return f"{sum(row['zero_shot'] < row['predicted'] / 2 for row in champions)} of {len(champions)}"
+
+
+def _sample(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
+    """Return the champions of an arm at a depth, or all; those that learned from the same data set belong together."""
+    rows = [row for row in study["champions"] if row["environment"] == environment and depth in (row["depth"], None)]
+    learned = environment != study.get("fluid") and environment_kind(environment).learned
+    n_data_sets = study["n_replicates"] if learned else 1
+    return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows]))
+
+
+def _ratio(part: Sample, whole: Sample) -> Estimate:
+    return ratio(part, whole, rng=np.random.default_rng(0))
+
+
+def _of_best(
+    study: Results, environment: str, score: str, depth: float = paper.DEPTH, *, best_of: Results | None = None
+) -> Estimate:
+    """Estimate an arm's share of *E* zero-shot, that of its own study by default."""
+    return _ratio(
+        _sample(study, environment, score, depth), _sample(best_of or study, "true_slush", "zero_shot", depth)
+    )
+
+
+def _by_data_set(sample: Sample, best: float) -> tuple[float, ...]:
+    return tuple(float(sample.values[sample.replicate == k].mean() / best) for k in np.unique(sample.replicate))
+
+
+def _section(marked: re.Match[str], page: Path) -> str:
+    """Return a table between its markers, and what it was measured with."""
+    name, files = marked.groups()
+    studies = [json.loads((ROOT / file).read_text(encoding="utf-8")) for file in files.split()]
+    row, tabulate = TABLES[name]
+    cells = as_markdown(row, [row(*values) for values in tabulate(*studies)])
+    where = "; ".join(_source(file, study, page) for file, study in zip(files.split(), studies, strict=True))
+    return f"<!-- table {name} of {files} -->\n{cells}\n*{where}*\n<!-- end -->"
+
+
+def _source(file: str, results: Results, page: Path) -> str:
+    """Name a results file, and what made it."""
+    made = results.get("made_with") or results.get("provenance") or results["machine"]
+    commit, changed = made["commit"][:7], " with changes" if made["commit"].endswith("-dirty") else ""
+    link = f"[{Path(file).name}]({relpath(ROOT / file, page.parent)})"
+    return f"{link}, commit {commit}{changed}, {made.get('cpu', 'AMD EPYC')}"
+
+
+def main() -> None:
+    """Write the tables of all pages anew."""
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        written = SECTION.sub(lambda marked, page=page: _section(marked, page), page.read_text(encoding="utf-8"))
+        page.write_text(written, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
