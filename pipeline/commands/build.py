@@ -45,8 +45,9 @@ def fabricate(
     film them. Their lengths and the tank are settings: --set throwing.lengths=[1,2,3].
     """
     from pipeline.bench.fabrication.make_kit import fabricate as make
-    from pipeline.bench.fabrication.source import from_file, proposed
+    from pipeline.bench.fabrication.source import from_file
     from pipeline.bench.fabrication.throwing_kit import make_throwing_kit
+    from pipeline.commands.proposal import proposed
     from pipeline.config.loading import load, parse
     from pipeline.results.recorded_study import open_study
     from tasks.bench.fabrication.kit_settings import FabricationSettings
@@ -97,7 +98,8 @@ def track(
     """
     from pipeline.bench.vision import require_vision
     from pipeline.bench.vision.markers_file import Markers
-    from pipeline.bench.vision.track_video import TrackOptions, track_videos
+    from pipeline.bench.vision.track_files import track_videos
+    from pipeline.bench.vision.track_video import TrackOptions
     from pipeline.config.loading import load
 
     require_vision()

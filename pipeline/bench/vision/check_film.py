@@ -1,17 +1,12 @@
 """The check film: a video with the outlines of the bars where tracking found them."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.bench.vision.track_video import VideoTracks
 from pipeline.bench.vision.video import Picture, film, frames
 from tasks.arrays import Float64
-
-if TYPE_CHECKING:
-    from pipeline.bench.vision.track_video import VideoTracks
 
 _WIDTH = 960  # at most [px]
 _WATER, _OUTLINES = (200, 120, 30), ((60, 60, 230), (40, 160, 40), (200, 60, 160), (20, 140, 230))  # blue, green, red

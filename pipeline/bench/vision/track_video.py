@@ -1,8 +1,7 @@
-"""``puddle track``: videos of a tank become a tracks file, with a film that shows what was found."""
+"""Videos of a tank: bars, or the links of a robot, are found in every frame and followed through it."""
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,13 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.bench.vision import require_vision
-from pipeline.bench.vision.check_film import write_check_film
 from pipeline.bench.vision.markers_file import Markers, TaggedBar
 from pipeline.bench.vision.tags import Detector, lens_of_board
 from pipeline.bench.vision.video import frames
 from pipeline.errors import PuddleError
-from pipeline.store import disk
-from pipeline.store.tables import Columns, csv_of
 from tasks.arrays import Float64, Ints
 from tasks.bench.tracks.repeats import repeated
 from tasks.bench.vision.bar_pose import BarPose, corner_noise, fit_bar, tag_corners
@@ -78,34 +74,6 @@ class _Sightings:
     tags: list[dict[int, Float64]]
 
 
-def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: TrackOptions) -> list[str]:
-    """Track the bars in videos; write the tracks file (NAME.csv), NAME-bars.csv, and NAME-check.mp4 of each video.
-
-    Throws are numbered on from one video to the next. Returns lines for the terminal. Raises PuddleError if a video
-    can't be read or calibrated, or holds no throw; nothing was written.
-    """
-    if out.suffix != ".csv" or not out.parent.is_dir() or out.is_dir():
-        raise PuddleError(f"--out: expected a file name that ends in .csv, in an existing folder, got {out}")
-    tracked, lines = follow(videos, markers, options)
-    films = [out.with_name(f"{out.stem}-check{f'-{i + 1}' * (len(videos) > 1)}.mp4") for i in range(len(videos))]
-    with contextlib.ExitStack() as unwanted:
-        temporary = [path.with_name(f".{path.name}.new.mp4") for path in films]
-        for path in temporary:
-            unwanted.callback(path.unlink, missing_ok=True)
-        for video, path in zip(tracked, temporary, strict=True):
-            write_check_film(path, video)
-        for path, final in zip(temporary, films, strict=True):
-            path.replace(final)
-        every = [track for video in tracked for track in video.tracks]
-        disk.place(out, csv_of(tracks_table(every)))
-        written = [out, *films]
-        if not options.robot:
-            bars = out.with_name(f"{out.stem}-bars.csv")
-            disk.place(bars, csv_of(_bars_table(every)))
-            written.insert(1, bars)
-    return [*lines, f"written: {', '.join(map(str, written))}"]
-
-
 def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> tuple[list[VideoTracks], list[str]]:
     """Track the bars in videos, or a robot in one. Returns what each video holds, and lines for the terminal.
 
@@ -142,24 +110,6 @@ def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> t
         names = ", ".join(map(str, videos))
         raise PuddleError(f"{names}: expected at least one {what}, found none. {advice}")
     return tracked, lines
-
-
-def tracks_table(tracks: Sequence[Track]) -> Columns:
-    """Lay out tracks as the columns of a tracks file."""
-    pose, deviation = (np.concatenate([getattr(track, name) for track in tracks]) for name in ("pose", "deviation"))
-    columns: Columns = {
-        "throw": np.concatenate([np.full(len(track.time), track.throw) for track in tracks]),
-        "time": np.concatenate([track.time for track in tracks]).round(7),
-    }
-    columns |= {name: pose[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
-    return columns | {f"{name}_sd": deviation[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
-
-
-def _bars_table(tracks: Sequence[Track]) -> Columns:
-    columns: Columns = {"throw": np.array([track.throw for track in tracks])}
-    return columns | {
-        name: np.array([getattr(track.bar, name) for track in tracks]) for name in ("length", "width", "mass")
-    }
 
 
 def _sightings(path: Path, markers: Markers, slowdown: float) -> _Sightings:

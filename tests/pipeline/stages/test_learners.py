@@ -10,7 +10,7 @@ from pydantic_core import to_jsonable_python
 from small_study import TINY
 
 import puddle
-from pipeline.bench.fabrication.source import proposed
+from pipeline.commands.proposal import proposed
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES

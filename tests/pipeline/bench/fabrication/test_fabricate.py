@@ -12,8 +12,9 @@ from command_line import call
 
 from pipeline.bench.fabrication.kit_files import KIT_MANIFEST, read_calibration, read_timeline
 from pipeline.bench.fabrication.make_kit import fabricate
-from pipeline.bench.fabrication.source import from_file, proposed
+from pipeline.bench.fabrication.source import from_file
 from pipeline.bench.servo.play import PlayOptions, play_timeline
+from pipeline.commands.proposal import proposed
 from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_json, load_design
