@@ -20,7 +20,6 @@ import typer
 from pipeline.cluster import Cluster, ray_cluster, serial_cluster
 from pipeline.cluster.process import check_limits, number_of_cores
 from pipeline.errors import PuddleError
-from pipeline.extensions import add
 
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
@@ -102,8 +101,7 @@ class SettingsOptions:
     store: StorePath = DEFAULT_STORE
 
     def __post_init__(self) -> None:
-        """Refuse more than one source of settings, and import what they may name."""
-        add(self.extensions or ())
+        """Refuse more than one source of settings."""
         options = {"study": self.study, "--preset": self.preset, "--settings": self.settings_file}
         if len(given := [f"{option} {value}" for option, value in options.items() if value is not None]) > 1:
             raise PuddleError(

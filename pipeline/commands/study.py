@@ -3,47 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from pipeline.commands.options import ExecutionOptions, SettingsOptions, StudyOptions, with_options
 from pipeline.commands.terminal import INCOMPLETE, to_stderr, to_stdout
+from pipeline.commands.time_model import forecast_stages
+from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
+from pipeline.mlflow.mirror import Tracker
+from pipeline.report.page import scale_words
+from pipeline.report.render import as_text
+from pipeline.stages import STAGES, environments
+from pipeline.stages.collect import COLLECT
+from pipeline.stages.report import PAGE
+from pipeline.stages.tracked import check_tracks
+from pipeline.stages.transfer import read_trials
+from pipeline.store.store import Store
+from pipeline.workflow.driver import drive
+from pipeline.workflow.graph import ChainProgress, discard_items, require, results_of, survey
+from pipeline.workflow.progress import progress
+from pipeline.workflow.stage import AnyStage, Upstream
+from tasks.analysis.registry import scored_by
+from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
+from tasks.discovery import FAILURES
+from tasks.evolution import require_search
 
-if TYPE_CHECKING:
-    from pipeline.config.settings import Settings
-    from pipeline.store.store import Store
-    from pipeline.workflow.stage import AnyStage, Upstream
-
-STAGE_SUMMARIES = {
-    "collect": "Throw rectangles into the target: what the simulator gets wrong.",
-    "train": "Train the ensemble of residual networks on the throws.",
-    "evolve": "Evolve designs in every environment, at every depth.",
-    "transfer": "Score champions in the target, zero-shot and adapted.",
-    "assess": "Compare the networks' predictions with true displacements.",
-    "analyse": "Compute statistics, and where the networks hallucinate.",
-    "report": "Write the page that shows the results.",
-}
+Recompute = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--recompute",
+        metavar="STAGE",
+        help="Discard this stage's results and make them anew, and what depends on them if they change.",
+    ),
+]
 
 
-def stage_command(*stages: str) -> Callable[..., None]:
-    """Return the command that runs some stages, or all of them where none is named."""
+@with_options
+def study(options: StudyOptions, execution: ExecutionOptions, recompute: Recompute = None) -> None:
+    """Run every stage that is not done yet; show the results."""
+    _run_stages(options, execution, (), recompute or ())
+
+
+def stage_command(stage: str) -> Callable[..., None]:
+    """Return the command that runs one stage."""
 
     @with_options
-    def command(
-        options: StudyOptions,
-        execution: ExecutionOptions,
-        recompute: Annotated[
-            list[str] | None,
-            typer.Option(
-                "--recompute",
-                metavar="STAGE",
-                help="Discard this stage's results and make them anew, and what depends on them if they change.",
-            ),
-        ] = None,
-    ) -> None:
-        _run_stages(options, execution, stages, recompute or ())
+    def command(options: StudyOptions, execution: ExecutionOptions, recompute: Recompute = None) -> None:
+        _run_stages(options, execution, (stage,), recompute or ())
 
     return command
 
@@ -52,14 +60,6 @@ def _run_stages(
     options: StudyOptions, execution: ExecutionOptions, stages: tuple[str, ...], recompute: Collection[str]
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE."""
-    from pipeline.commands.time_model import forecast_stages
-    from pipeline.mlflow.mirror import Tracker
-    from pipeline.stages import STAGES, environments
-    from pipeline.workflow.driver import drive
-    from pipeline.workflow.progress import progress
-    from tasks.discovery import FAILURES
-    from tasks.evolution import require_search
-
     settings = options.settings()
     wanted = [stage for stage in STAGES if not stages or stage.name in stages]
     names = [stage.name for stage in wanted]
@@ -107,13 +107,6 @@ def _run_stages(
 
 def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: SettingsOptions) -> None:
     """Print the champions' displacement at the greatest depth, the page's address, and the commands to try next."""
-    from pipeline.report.page import scale_words
-    from pipeline.report.render import as_text
-    from pipeline.stages.report import PAGE
-    from pipeline.stages.transfer import read_trials
-    from tasks.analysis.registry import scored_by
-    from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
-
     depth, objective = max(settings.grid.depths), settings.evolution.maximised
     trials = read_trials(settings, upstream["transfer"], store)
     rows = [row for row in transfer_rows(trials, settings.target) if row.depth == depth]
@@ -138,9 +131,6 @@ def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: 
 
 
 def _discard(settings: Settings, names: Collection[str], store: Store) -> None:
-    from pipeline.stages import STAGES
-    from pipeline.workflow.graph import discard_items
-
     with store.lock_all():
         n_items = discard_items(settings, names, STAGES, store)
     to_stderr(
@@ -151,11 +141,6 @@ def _discard(settings: Settings, names: Collection[str], store: Store) -> None:
 
 def _check_inputs(options: StudyOptions, settings: Settings, first: AnyStage) -> None:
     """Refuse a stage whose inputs are missing or bad before anything is written: no store, no record."""
-    from pipeline.stages import STAGES
-    from pipeline.stages.collect import COLLECT
-    from pipeline.stages.tracked import check_tracks
-    from pipeline.workflow.graph import ChainProgress, require, results_of, survey
-
     until = STAGES[: STAGES.index(first)] or [COLLECT]
     if (store := options.find_store()) is None:
         plans = [(stage, [ChainProgress(chain) for chain in stage.plan(settings)]) for stage in until]

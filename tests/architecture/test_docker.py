@@ -13,10 +13,9 @@ from pathlib import Path
 
 import kubernetes_validate
 import pytest
-import typer
 from containers import COMPOSE, DOCKER, KUBERNETES, instructions, words_of
 
-from pipeline.commands.app import app
+from pipeline.commands.app import command as puddle
 from pipeline.commands.terminal import INCOMPLETE
 
 ROOT = Path(__file__).parents[2]
@@ -29,7 +28,7 @@ def test_every_option_of_a_command_exists():
     from mlflow.cli import cli as mlflow  # both take seconds to load, which no other test needs to wait for
     from ray.scripts.scripts import cli as ray
 
-    programs = {"ray": ray, "puddle": typer.main.get_command(app), "mlflow": mlflow}
+    programs = {"ray": ray.commands.get, "puddle": puddle, "mlflow": mlflow.commands.get}
     given = [service["command"] for service in COMPOSE["services"].values() if "command" in service]
     given.append(KUBERNETES["Job"]["spec"]["template"]["spec"]["containers"][0]["command"])
     given.append(COMPOSE["services"]["head"]["healthcheck"]["test"][1:])
@@ -39,7 +38,7 @@ def test_every_option_of_a_command_exists():
             parts = words[2].replace("$$(cat /run/secrets/postgres_password)", "x").split("&&")
             lines = [shlex.split(part.strip().removeprefix("exec ")) for part in parts]
         for program, command, *rest in lines:
-            options = {option for parameter in programs[program].commands[command].params for option in parameter.opts}
+            options = {option for parameter in programs[program](command).params for option in parameter.opts}
             assert {word.partition("=")[0] for word in rest if word.startswith("--")} <= options, command
 
 

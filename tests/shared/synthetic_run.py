@@ -15,7 +15,7 @@ import numpy as np
 from synthetic_tank import LARGE_TANK, TankCamera, TankScene, markers_of_tank, sticker, write_beside, write_csv
 
 from pipeline.bench.vision.markers_file import Markers, TaggedBar
-from pipeline.commands.run_comparison import read_kit
+from pipeline.commands.compare_run import read_kit
 from tasks.analysis.built_run import BuiltRobot
 from tasks.arrays import Float64
 from tasks.bench.fabrication.timeline import Playback, driven_joints, envelope

@@ -10,7 +10,7 @@ import pytest
 from crash_consistency_disk import survey, write_image
 from quick_study import Record, tree
 
-from pipeline.commands.garbage import find_garbage
+from pipeline.commands.gc import find_garbage
 from pipeline.store.store import Store, StudyRecord
 
 pytestmark = pytest.mark.timeout(1800)  # the machine may be busy

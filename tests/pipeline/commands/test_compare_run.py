@@ -14,7 +14,7 @@ from command_line import call as called
 
 from pipeline.bench.fabrication.kit_files import KIT, write_folder
 from pipeline.bench.vision.markers_file import RobotTags
-from pipeline.commands.run_comparison import read_kit
+from pipeline.commands.compare_run import read_kit
 from pipeline.config.settings import RolloutSettings
 from pipeline.report.run_page import verdict
 from pipeline.results.recorded_study import open_study

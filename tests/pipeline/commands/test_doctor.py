@@ -6,7 +6,7 @@ import psutil
 from command_line import call
 from small_study import ON_DRY_LAND
 
-from pipeline.commands import examination
+from pipeline.commands import doctor
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 
@@ -23,12 +23,12 @@ def test_every_check_passes_where_the_tests_run(options, capsys):
 
 
 def test_problems_are_found_and_named(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(examination, "_SPARE_BYTES", 1e18)
+    monkeypatch.setattr(doctor, "_SPARE_BYTES", 1e18)
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=2e9))  # enough for two workers
     monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: {"sse4.2": True})  # other low bits
     constraints = tmp_path / "constraints.txt"
     constraints.write_text("numpy==0.1\nBox2D==2.3.10\n")
-    monkeypatch.setattr(examination, "_CONSTRAINTS", constraints)
+    monkeypatch.setattr(doctor, "_CONSTRAINTS", constraints)
     assert call("doctor", "--preset", "smoke", "--store", str(tmp_path / "store"), "--workers", "8") == 1
     said = capsys.readouterr().out
     for found in (
@@ -44,9 +44,9 @@ def test_problems_are_found_and_named(tmp_path, monkeypatch, capsys):
 
 def test_finished_work_needs_no_disk_space(store, tmp_path, monkeypatch):
     """Half of the space that a whole study needs is enough for the rest of one that is nearly done."""
-    free = int(examination._SPARE_BYTES + sum(one.n_bytes for one in examination.forecast_stages(tiny())) / 2)
-    monkeypatch.setattr(examination.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
-    assert examination._disk(tiny(), tmp_path / "new").verdict == "fail"
+    free = int(doctor._SPARE_BYTES + sum(one.n_bytes for one in doctor.forecast_stages(tiny())) / 2)
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
+    assert doctor._disk(tiny(), tmp_path / "new").verdict == "fail"
     free = 0
-    found = examination._disk(tiny(), store.root)
+    found = doctor._disk(tiny(), store.root)
     assert found.verdict == "ok" and found.found.endswith("study tiny is done")

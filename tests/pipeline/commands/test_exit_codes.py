@@ -10,11 +10,11 @@ import pytest
 import typer
 from command_line import refused
 
-from pipeline.commands.app import _PANELS, main
+from pipeline.commands.app import PANELS, main
 from pipeline.commands.terminal import Commands
 
 ROOT = Path(__file__).parents[3]
-COMMANDS = [name for commands in _PANELS.values() for name in commands] + ["servo", "servo play", "servo calibrate"]
+COMMANDS = [name for commands in PANELS.values() for name in commands] + ["servo", "servo play", "servo calibrate"]
 
 
 def in_a_process(*words: str, stdout: IO[str]) -> subprocess.CompletedProcess[str]:

@@ -6,7 +6,7 @@ import pytest
 from command_line import call, refused
 from small_study import n_items
 
-from pipeline.commands.garbage import find_garbage
+from pipeline.commands.gc import find_garbage
 from pipeline.errors import PuddleError
 from pipeline.store.store import Store, StudyRecord
 

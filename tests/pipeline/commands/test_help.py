@@ -2,12 +2,7 @@
 
 import importlib.metadata
 
-import typer
 from command_line import call
-
-from pipeline.commands.app import app
-
-COMMANDS = typer.main.get_command(app).commands
 
 
 def help_of(capsys, *words: str) -> str:

@@ -12,7 +12,7 @@ from small_study import run
 
 import puddle
 from pipeline.cluster import serial_cluster
-from pipeline.commands.study_status import study_status
+from pipeline.commands.status import study_status
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.results.recorded_study import CHAMPIONS, StageProgress, open_study
 from pipeline.results.study_tables import KEYS, SOURCES

@@ -5,11 +5,10 @@ import re
 
 import numpy as np
 import pytest
+from command_line import call
 from small_study import files_of, labelled, run
 
 from pipeline.cluster import serial_cluster
-from pipeline.commands.options import SettingsOptions
-from pipeline.commands.simulations import simulate_design
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -154,7 +153,7 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
     assert np.isfinite(tank["length_cm"]).all()
 
 
-def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, tank, tmp_path):
+def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, tank, tmp_path, capsys):
     store, upstream = built
     (trial,) = tank["trial"][tank["proposed"]].tolist()
     summary = ANALYSE.summarise(pontoon, upstream["analyse"], store)
@@ -174,9 +173,9 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     design_from(champion, "proposed")
     film = tmp_path / "film.gif"
     (tmp_path / "pontoon.yaml").write_text(pontoon.model_dump_json())
-    options = SettingsOptions(settings_file=tmp_path / "pontoon.yaml", store=store.root)
-    lines = simulate_design(written, "true_slush", 2.0, film, options)
-    moved = float(re.search(r"root ([+-][\d.]+) m", "\n".join(lines))[1])
+    options = ("--settings", str(tmp_path / "pontoon.yaml"), "--store", str(store.root), "--depth", "2")
+    assert call("simulate", str(written), "--environment", "true_slush", "--out", str(film), *options) == 0
+    moved = float(re.search(r"root ([+-][\d.]+) m", capsys.readouterr().out)[1])
     assert moved == pytest.approx(tank["zero_shot"][tank["proposed"]][0], abs=5e-4)
     assert film.read_bytes().startswith(b"GIF89a")
 

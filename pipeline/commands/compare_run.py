@@ -1,19 +1,29 @@
-"""The run of a built robot: its kit and its tracks are read, compared and shown."""
+"""puddle compare-run: the run of a built robot beside its prediction."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from pipeline.bench.fabrication.kit_files import KIT, KIT_MANIFEST
 from pipeline.bench.vision.markers_file import Markers
 from pipeline.bench.vision.track_video import TrackOptions, follow
-from pipeline.commands.options import output_suffix
-from pipeline.commands.terminal import to_stderr
+from pipeline.commands.options import (
+    DEFAULT_STORE,
+    MARKERS_OPTION,
+    LensVideo,
+    Slowdown,
+    StorePath,
+    StudyName,
+    output_suffix,
+    with_options,
+)
+from pipeline.commands.terminal import to_stderr, to_stdout
 from pipeline.config.loading import load
 from pipeline.config.settings import RolloutSettings
 from pipeline.errors import PuddleError
@@ -30,6 +40,26 @@ from tasks.design import N_LINKS
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush, environment_kind, froude_time
 from tasks.world.slush import PAPERS_TARGET
+
+
+@with_options
+def compare_run(
+    run: Annotated[Path, typer.Argument(metavar="VIDEO-or-TRACKS", help="A video of the run, or its tracks (.csv).")],
+    kit: Annotated[Path, typer.Option("--kit", help="The robot's kit, a folder of `puddle fabricate`.")],
+    study: StudyName = None,
+    markers: Annotated[Path | None, MARKERS_OPTION] = None,
+    lens: LensVideo = None,
+    slowdown: Slowdown = 1.0,
+    out: Annotated[Path, typer.Option("--out", help="The page (.html).")] = Path("run.html"),
+    store: StorePath = DEFAULT_STORE,
+) -> None:
+    """Compare a built robot's run with what was predicted.
+
+    How far and how fast it went, and its gait, stand on the terminal and on a page. The prediction is that of a study's
+    ensemble (--study), or what the kit records; its interval is two standard deviations of the members to either side.
+    """
+    source = RunSource(run, markers, lens, slowdown)
+    to_stdout(*compare_built_run(source, kit, study, store, out))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Garbage: items that no study of a store needs, and those whose commit was interrupted.
+"""puddle gc: items that no study of a store needs, and those whose commit was interrupted.
 
 A study needs the items that its record lists and those that its settings lead to: one that was stopped halfway has no
 record of its last stage yet. Nothing is removed while a study is driven, or where what a study needs can't be told,
@@ -6,13 +6,34 @@ because its record is unreadable, or because an item that it lists is gone and o
 """
 
 from collections.abc import Iterator, Sequence
+from typing import Annotated
 
+import typer
+
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, with_options
+from pipeline.commands.terminal import to_stdout
 from pipeline.config.settings import RecordedSettings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.record import settings_of
+
+
+@with_options
+def gc(
+    store: StorePath = DEFAULT_STORE,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove the garbage; without it, only list it.")] = False,
+) -> None:
+    """List what no study of a store needs, or remove it."""
+    options = StudyOptions(store=store)
+    opened = options.open_store()
+    with opened.lock_all():
+        garbage = find_garbage(opened)
+        lines = list(garbage_lines(opened, garbage, removed=remove, command=f"{options.command('gc')} --remove"))
+        for item in garbage if remove else ():
+            opened.discard(*item)
+    to_stdout(*lines)
 
 
 def find_garbage(store: Store) -> list[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Checks of a machine before a long study: they find in a second what would stop the study after hours."""
+"""puddle doctor: checks that find in a second what would stop a study after hours."""
 
 import contextlib
 import importlib.metadata
@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Literal
 
 import psutil
+import typer
 
 from pipeline.cluster.process import number_of_cores
+from pipeline.commands.options import StudyOptions, Workers, with_options
+from pipeline.commands.terminal import INCOMPLETE, to_stdout
 from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
 from pipeline.store.store import Store
@@ -24,6 +27,19 @@ _BYTES_PER_WORKER = 450e6
 """Memory of a worker: 300 MB with torch and the engine loaded (measured), and space to work in."""
 _BYTES_OF_DRIVER = 1e9  # memory of the driver and of Ray's own processes
 _SPARE_BYTES = 1e9  # disk space beside the results: MLflow's database, reports, other users
+
+
+@with_options
+def doctor(options: StudyOptions, workers: Workers = None) -> None:
+    """Check a machine before a long study."""
+    checks = []
+    for check in examine(options.settings(), options.store, n_workers=workers):
+        checks.append(check)
+        to_stdout(f"{check.verdict:<5} {check.what}: {check.found}")
+        if check.verdict != "ok":
+            to_stdout(f"      {check.advice}")
+    if any(check.verdict == "fail" for check in checks):
+        raise typer.Exit(INCOMPLETE)
 
 
 @dataclass(frozen=True)

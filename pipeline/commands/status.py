@@ -1,19 +1,45 @@
-"""How far studies have got: what their records list and what their settings lead to."""
+"""puddle status: how far a study has got, by what its record lists and what its settings lead to."""
 
 from __future__ import annotations
 
-import datetime
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
+from pipeline.commands.options import AsJson, StudyOptions, program, with_options
+from pipeline.commands.terminal import print_json, to_stdout
 from pipeline.config.settings import Settings
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.errors import DamagedArtifact
 from pipeline.stages import STAGES
-from pipeline.stages.report import PAGE
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import survey
-from pipeline.workflow.record import recorded_study, settings_of
+from pipeline.workflow.record import differences as differences_of
+from pipeline.workflow.record import settings_of
+
+
+@with_options
+def status(options: StudyOptions, as_json: AsJson = False) -> None:
+    """Print what of a study is done, running, failed and missing.
+
+    Where the store has a study of that name, its recorded settings count, and differences from those given are named.
+    """
+    store, settings = options.open_store(), options.settings(to_compute=False)
+    record = store.read_study(settings.name)
+    recorded = settings_of(record) if record else settings
+    differences = differences_of(recorded, settings)
+    found = study_status(recorded, store, record, with_diverged=True)
+    if as_json:
+        print_json({**asdict(found), "done": found.is_done, "settings_differ": differences})
+        return
+    to_stdout(*status_lines(found))
+    if differences:
+        to_stdout(
+            "That is the study on record. The settings given differ from it (recorded → given):",
+            *(f"  {line}" for line in differences),
+            f"`{options.command('forecast')}` shows what they would need.",
+        )
+    elif record is None and (names := store.studies()):
+        to_stdout(f"The store has no study {settings.name}, but {', '.join(names)}: `{program()} status NAME`.")
 
 
 @dataclass(frozen=True)
@@ -136,48 +162,3 @@ def status_lines(status: StudyStatus) -> Iterator[str]:
     if any(stage.failed for stage in status.stages):
         yield "Failed work items are tried again by the next `puddle study`; everything else is safe."
     yield from status.notes
-
-
-@dataclass(frozen=True)
-class ListedStudy:
-    """What the list shows of a study."""
-
-    study: str
-    source: str = ""  # "preset laptop" or the path of a settings file
-    progress: str = ""
-    done: bool = False
-    changed: str = ""  # when its record last changed, ISO 8601
-    page: str | None = None  # address of its page, if it has one
-    problem: str = ""  # why nothing else is known
-
-
-def list_studies(store: Store) -> Iterator[ListedStudy]:
-    """Describe every study of a store; a damaged one by its problem alone."""
-    for name in store.studies():
-        try:
-            record = recorded_study(store, name)
-            status = study_status(settings_of(record), store, record, with_diverged=False)
-        except PuddleError as problem:
-            yield ListedStudy(name, problem=str(problem))
-            continue
-        page = store.export_path(name) / PAGE
-        changed = datetime.datetime.fromtimestamp(store.record_path(name).stat().st_mtime).astimezone()
-        yield ListedStudy(
-            name,
-            record.source,
-            status.short,
-            status.is_done,
-            changed.isoformat(sep=" ", timespec="seconds"),
-            page.as_uri() if page.is_file() else None,
-        )
-
-
-def describe(one: ListedStudy) -> Iterator[str]:
-    """Describe a study in lines; addresses and paths are never cut."""
-    yield f"{one.study}: {one.problem or one.progress}"
-    if one.source:
-        yield f"  settings from {one.source}"
-    if one.changed:
-        yield f"  last change {one.changed}"
-    if one.page:
-        yield f"  {one.page}"
