@@ -23,7 +23,7 @@ from tasks.analysis import paper
 from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
 from tasks.analysis.registry import column
 from tasks.analysis.tables.transfer import papers_mean
-from tasks.world import environment_kind
+from tasks.residual import arm_kind
 
 ROOT = Path(__file__).resolve().parents[1]
 SECTION = re.compile(r"<!-- table (\w+) of (.+?) -->\n.*?<!-- end -->", re.S)
@@ -237,7 +237,7 @@ def bench(results: Results) -> Iterable[tuple[Any, ...]]:
 
 
 def _label(environment: str) -> str:
-    kind = environment_kind(environment)
+    kind = arm_kind(environment)
     return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
 
 
@@ -250,7 +250,7 @@ def _exploiters(studies: Iterable[Results], environment: str) -> str:
 def _sample(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
     """Return the champions of an arm at a depth, or all; those that learned from the same data set belong together."""
     rows = [row for row in study["champions"] if row["environment"] == environment and depth in (row["depth"], None)]
-    learned = environment != study.get("fluid") and environment_kind(environment).learned
+    learned = environment != study.get("fluid") and arm_kind(environment).learned
     n_data_sets = study["n_replicates"] if learned else 1
     return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows]))
 

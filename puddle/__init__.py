@@ -40,7 +40,7 @@ for _package in (pipeline, tasks):
 
 from pipeline.errors import PuddleError
 from tasks.design import GENES, Designs, crossover, mutate, random_designs
-from tasks.residual import Architecture, DesignedThrows, Throws, Training
+from tasks.residual import Architecture, Throws, Training
 from tasks.residual.throws import throw
 from tasks.simulation import simulate
 from tasks.world import DryLand, LinkStates, Physics, Pool, RandomisedSlush, ResidualSlush, TrueSlush, VelocityChange
@@ -62,7 +62,6 @@ _LATER = {  # modules that import what reads studies, draws or trains, which tak
 __all__ = [
     "GENES",
     "Architecture",
-    "DesignedThrows",
     "Designs",
     "DryLand",
     "LinkStates",

@@ -26,7 +26,7 @@ def champions(study: StudyArgument, store: StorePath = DEFAULT_STORE) -> None:
         f"selected for: {opened.settings.selected_for}",
         *as_text(scored_by(objective, ScoredTrial), ranked, without=("status",), learners=opened.settings.arm_learners),
     )
-    if n_without := len(opened.settings.grid.trials()) - len(rows):
+    if n_without := len(opened.settings.trials()) - len(rows):
         to_stdout(f"\n{n_without} of {len(rows) + n_without} trials have no champion yet, or every design diverged.")
     export_them = StudyOptions(study=opened.name, store=store).command("export")
     to_stdout(f"\n`{export_them} --out {opened.name}` writes the design file of each.")

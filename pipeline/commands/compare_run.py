@@ -30,6 +30,7 @@ from pipeline.errors import PuddleError
 from pipeline.report.render import as_text
 from pipeline.report.run_page import render_run, verdict
 from pipeline.results.recorded_study import Study, open_study
+from pipeline.stages.environments import environment_of
 from pipeline.store import disk
 from pipeline.store.design_file import load_design
 from pipeline.store.encoding import decode_document
@@ -37,9 +38,9 @@ from pipeline.store.track_file import content_of, read_track_table
 from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, compare_with_simulation
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import N_LINKS
+from tasks.residual import arm_kind
 from tasks.simulation import simulate
-from tasks.world import Physics, ResidualSlush, environment_kind, froude_time
-from tasks.world.slush import PAPERS_TARGET
+from tasks.world import Physics, ResidualSlush, froude_time
 
 
 @with_options
@@ -132,16 +133,18 @@ def read_kit(folder: Path, study: Study | None = None) -> BuiltRobot:
     physics = Physics.model_validate(simulated["physics"])
     time_scale = froude_time(scale) if choices.scaling.law == "froude" else 1.0
     seconds = rollout.n_measure * physics.time_step * time_scale
-    target = environment_kind(simulated.get("environment", PAPERS_TARGET))
-    if target.learned and study is None:
-        raise PuddleError(f"{folder}: its robot was simulated in {target.label}: expected its study, --study NAME")
-    ensemble = study.ensemble() if study is not None and target.learned else None
+    target, media = simulated["environment"], simulated["media"]
+    learned = isinstance(media[target], str)
+    if learned and study is None:
+        label = arm_kind(target).label
+        raise PuddleError(f"{folder}: its robot was simulated in {label}: expected its study, --study NAME")
+    ensemble = study.ensemble() if study is not None and learned else None
     return BuiltRobot(
         name=str(document["name"]),
         design=load_design(folder / "design.json"),
         scale=scale,
         time_scale=time_scale,
-        environment=target.environment(simulated["depth"], simulated["media"], ensemble),
+        environment=environment_of(media, target, simulated["depth"], ensemble),
         physics=physics,
         n_settle=rollout.n_settle,
         predicted=None if predicted is None else np.array(predicted, dtype=np.float64) * scale / seconds,

@@ -11,9 +11,9 @@ from pipeline.workflow.identity import TrialId
 from pipeline.workflow.stage import MissingInputs
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
-from tasks.residual import arm_kind
+from tasks.residual import arm_kind, in_order
 from tasks.simulation import OK
-from tasks.world import EnvironmentName, in_order
+from tasks.world import EnvironmentName
 
 
 def proposed(study: Study) -> DesignSource:

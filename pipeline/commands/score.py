@@ -18,7 +18,6 @@ from pipeline.store.tables import Columns, csv_of
 from pipeline.workflow.stage import Execution
 from tasks.evolution import OBJECTIVES
 from tasks.residual import arm_kind
-from tasks.world import environment_kind
 
 _AT_ONCE, _WITH_TRACE = 4096, 64  # designs simulated in one call, to bound the memory
 _UNITS = {
@@ -54,7 +53,7 @@ def score(
     if out is not None:
         output_suffix(out, (".parquet", ".csv"))
     designs = open_designs(path)
-    networks = required_networks(options, settings, name) if environment_kind(name).learned else {}
+    networks = required_networks(options, settings, name) if name in settings.learners else {}
     simulation = environments.simulation_spec(settings, name)
     at = environments.build_environment(simulation.media, name, depth, networks)
     execution, fitness = Execution(settings.work.engine), environments.fitness_spec(settings, name)

@@ -27,9 +27,9 @@ from pipeline.store.design_file import load_design
 from pipeline.workflow.stage import Execution
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
-from tasks.residual import arm_kind, ensemble_of_data_set
+from tasks.residual import arm_kind
 from tasks.simulation import OK, Rollouts
-from tasks.world import EnsembleMedium, Environment, EnvironmentName, environment_kind
+from tasks.world import EnsembleMedium, Environment, EnvironmentName
 
 _PAGE = ".html"
 
@@ -52,7 +52,7 @@ def simulate(
     name = checked_environment(settings, environment, depth)
     suffix = "" if out is None else output_suffix(out, (*RENDERERS, _PAGE))
     networks: Networks = {}
-    if environment_kind(name).learned:
+    if name in settings.learners:
         networks = required_networks(options, settings, name)
     elif suffix == _PAGE:
         networks = optional_networks(options, settings)
@@ -99,12 +99,12 @@ def _rolled_out(
 ) -> tuple[Environment, Rollouts]:
     """Simulate a design in an environment."""
     simulation = environments.simulation_spec(settings, name)
-    at = environment_kind(name).environment(depth, simulation.media, ensemble)
+    at = environments.environment_of(simulation.media, name, depth, ensemble)
     return at, environments.roll_out(simulation, Execution(settings.work.engine), at, design, trace=trace)
 
 
 def _other(target: EnvironmentName, name: EnvironmentName, networks: Networks) -> EnvironmentName | None:
     """Return the environment to show beside one: the networks' for the target, the target for a network's."""
     if name == target:
-        return ensemble_of_data_set(next(iter(networks)).data_set.group)
-    return target if environment_kind(name).learned else None
+        return next(iter(networks)).data_set.learner
+    return target if arm_kind(name).learned else None

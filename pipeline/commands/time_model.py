@@ -20,7 +20,7 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import AnyStage, Chain, Upstream
-from tasks.residual import Architecture, Training, ensemble_of_data_set
+from tasks.residual import Architecture, Training
 from tasks.world import EnvironmentName
 
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
@@ -191,7 +191,7 @@ def _generation(settings: Settings, environment: EnvironmentName) -> float:
 
 def _ensemble_of(chain: Chain[Any]) -> EnvironmentName:
     assert isinstance(chain.identity, AssessmentId)
-    return ensemble_of_data_set(chain.identity.data_set.group)
+    return chain.identity.data_set.learner
 
 
 _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {

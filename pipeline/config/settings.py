@@ -5,11 +5,10 @@ scientific parameters are declared beside the equations that use them, in tasks/
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationError, create_model, model_validator
+from pydantic import Field, ValidationError, create_model, field_validator, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.bench.tracks.conventions import Tracks
@@ -27,10 +26,10 @@ from tasks.evolution import (
     SearchName,
 )
 from tasks.parameters import Parameters
-from tasks.residual import Architecture, DesignedThrows, Throws, Training
-from tasks.residual.learner import BUILT_IN, PAPERS_SINGLE, THROWS_GROUPS, Learner, LearnerSettings, completed, stated
+from tasks.residual import LEARNERS, Architecture, Learner, LearnerSettings, Throws, Training, arm_kind, in_order
+from tasks.residual.learner import learner_of, stated
 from tasks.residual.wetted import acts_above_water
-from tasks.world import ENVIRONMENTS, TANK_MODEL, EnvironmentName, Medium, Physics, Slush, environment_kind, in_order
+from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
 
@@ -68,8 +67,8 @@ class GridSettings(Parameters):
     """Environments in which designs evolve, at every depth: media, and learners, the study's own among them. By default
     the first is the target. [P]"""
     single_member_depths: tuple[Depth, ...] = (9.0,)
-    """Depths at which designs also evolve in a single network, every trial in its own. Where there are more trials than
-    members, more networks are trained. [P]"""
+    """Depths at which designs also evolve in a single network, every trial in its own, beside those that evolve in the
+    ensemble. Where there are more trials than members, more networks are trained. [P]"""
     n_trials: int = Field(default=10, ge=1, le=10_000)
     """Number of independent trials of each depth and environment. [P]"""
 
@@ -81,15 +80,6 @@ class GridSettings(Parameters):
                 f"{name} (to six digits)", [f"{depth:g}" for depth in getattr(self, name)]
             )  # as in labels
         return self
-
-    def trials(self) -> list[tuple[EnvironmentName, float, int]]:
-        """List the environment, depth [m] and number of every trial."""
-        arms = [(environment, depth) for depth in self.depths for environment in self.environments]
-        for name, learner in BUILT_IN.items():
-            beside = learner.single in self.environments or name == PAPERS_SINGLE
-            if learner.single is not None and beside and name not in self.environments:
-                arms += [(name, depth) for depth in self.single_member_depths if depth in self.depths]
-        return [(environment, depth, trial) for environment, depth in arms for trial in range(self.n_trials)]
 
 
 class RolloutSettings(Parameters):
@@ -214,9 +204,7 @@ class Settings(Parameters):
     """Number of independent data sets and ensembles, of which trial k uses number k mod replicates. With one, the
     spread over trials shows the chance in evolution alone; with more, also that in throws and training."""
     throws: Throws = Throws()
-    """The data set that networks of residual_slush and single_member learn from."""
-    designed_throws: DesignedThrows = DesignedThrows()
-    """The data set that networks of designed_throws and designed_single_member learn from."""
+    """The data set that networks learn from, unless their learner states other throws."""
     tracks: Tracks | None = None
     """Tracked throws of real bars, where throws.source is tracks; null for none."""
     network: Architecture = Architecture()
@@ -225,8 +213,9 @@ class Settings(Parameters):
     """Training of the networks."""
     ensemble: EnsembleSettings = EnsembleSettings()
     """The ensemble of networks."""
-    learners: Mapping[LearnerName, LearnerSettings] = {}
-    """Further learners by name, for grid.environments: each states what differs from the groups above."""
+    learners: Mapping[LearnerName, LearnerSettings] = LEARNERS
+    """Learners by name, for grid.environments: each states what differs from the groups above. Those of the paper, and
+    of throws that are designed for robots, are always there; what is given of them is in addition."""
     grid: GridSettings = GridSettings()
     """The trials."""
     rollout: RolloutSettings = RolloutSettings()
@@ -246,10 +235,15 @@ class Settings(Parameters):
     def __repr__(self) -> str:
         return "\n".join(["Settings(", *(f"    {name}={value!r}," for name, value in self.__repr_args__()), ")"])
 
+    @field_validator("learners", mode="before")
+    @classmethod
+    def _with_those_of_every_study(cls, given: Any) -> Any:
+        return _merged(LEARNERS, given)
+
     @model_validator(mode="after")
     def _target_is_an_arm(self) -> Self:
         if self.target != PAPERS_TARGET and "environments" not in self.grid.model_fields_set:
-            arms = (*(() if self.learner(self.target) else (self.target,)), *self.grid.environments[1:])
+            arms = (*(() if self.target in self.learners else (self.target,)), *self.grid.environments[1:])
             object.__setattr__(self, "grid", self.grid.model_copy(update={"environments": arms}))
         return self
 
@@ -299,8 +293,6 @@ class Settings(Parameters):
                 f"throws.source is {self.throws.source} and tracks {'is null' if from_tracks else 'names a file'}: "
                 f"expected both, `puddle collect --tracks FILE` sets them, or neither"
             )
-        if self.designed_throws.source == "tracks":
-            raise ValueError("designed_throws.source is tracks, but only throws can be tracked: expected simulation")
         for name in self.learners:
             if not (learner := self.learner(name)) or learner.throws.source != "tracks":
                 continue
@@ -319,22 +311,18 @@ class Settings(Parameters):
 
     def _check_learners(self) -> None:
         """Refuse learners that contradict the study's groups, and names of what does not exist."""
-        ensembles = [name for name, one in {**BUILT_IN, **self.learners}.items() if one.single is None]
+        ensembles = [name for name, one in self.learners.items() if not (one.single or one.mean)]
         for name, given in self.learners.items():
-            if name in (*ENVIRONMENTS, *BUILT_IN, *THROWS_GROUPS.values()):
+            if name in ENVIRONMENTS:
                 raise ValueError(f"learners.{name}: the name is taken: expected one of its own, got {name!r}")
-            if not stated(given):
-                what = ", ".join(LearnerSettings.model_fields)
-                raise ValueError(
-                    f"learners.{name}: expected what differs from the study's groups, any of {what}; got {{}}"
-                )
-            others = [one for one in stated(given) if one != "single"]
-            if given.single is not None and (others or given.single not in ensembles):
-                beside = f" beside {', '.join(others)}" if others else ""
-                raise ValueError(
-                    f"learners.{name}.single is {given.single!r}{beside}: expected a learner with an ensemble, one of "
-                    f"{', '.join(ensembles)}, and nothing beside it"
-                )
+            others = [one for one, value in given if one not in ("single", "mean") and one in given.model_fields_set]
+            for use, source in (("single", given.single), ("mean", given.mean)):
+                if source is not None and (others or source not in ensembles):
+                    beside = f" beside {', '.join(others)}" if others else ""
+                    raise ValueError(
+                        f"learners.{name}.{use} is {source!r}{beside}: expected a learner with an ensemble, one of "
+                        f"{', '.join(ensembles)}, and nothing beside it"
+                    )
             try:
                 self.learner(name)
             except ValidationError as error:
@@ -343,9 +331,10 @@ class Settings(Parameters):
         known = (*ENVIRONMENTS, *self.learners)
         media = [name for name, kind in ENVIRONMENTS.items() if kind.has_one_medium]
         simulated = {name: one for name, one in self.arm_learners.items() if one.throws.source != "tracks"}
-        targets = media if simulated else [*media, TANK_MODEL.name]  # a medium, if links are thrown into it
+        if not simulated:  # else links are thrown into the target, which is no network's
+            media += [name for name, one in self.learners.items() if one.mean]
         for place, names, allowed in (
-            ("target", (self.target,), targets),
+            ("target", (self.target,), media),
             ("grid.environments", self.grid.environments, known),
             ("transfer.adapted_environments", self.transfer.adapted_environments or (), known),
             ("evolution.objective", (self.evolution.objective,), tuple(OBJECTIVES)),
@@ -353,7 +342,7 @@ class Settings(Parameters):
         ):
             for name in names:
                 if name not in allowed:
-                    one_medium = "an environment of one medium, " if allowed is targets else ""
+                    one_medium = "an environment of one medium, " if allowed is media else ""
                     raise ValueError(f"{place}: expected {one_medium}any of {', '.join(allowed)}, got {name!r}")
         wetted = [name for name, learner in simulated.items() if learner.network.form == "wetted"]
         if wetted and self.target_medium and acts_above_water(self.target_medium, self.physics):
@@ -400,19 +389,19 @@ class Settings(Parameters):
 
     @property
     def simulated_environments(self) -> tuple[EnvironmentName, ...]:
-        """Environments of simulations: media, learners, and the model of a tank if that is the target."""
-        return *ENVIRONMENTS, *({self.target} & {TANK_MODEL.name}), *self.learners
+        """Environments of simulations: media and learners."""
+        return *ENVIRONMENTS, *self.learners
 
     @property
     def target_label(self) -> str:
         """The target as readers know it."""
-        return environment_kind(self.target).label
+        return arm_kind(self.target).label
 
     @property
     def target_medium(self) -> Medium | None:
         """The target's medium, with its settings; None if it is learned."""
-        groups, kind = {group: getattr(self, group) for group in settings_groups()}, environment_kind(self.target)
-        return None if kind.learned else kind.environment(0.0, groups).medium
+        kind = ENVIRONMENTS.get(self.target)
+        return None if kind is None else kind.environment(0.0, getattr(self, kind.settings_group or "", None)).medium
 
     @property
     def has_papers_target(self) -> bool:
@@ -426,32 +415,37 @@ class Settings(Parameters):
 
     def learner(self, environment: EnvironmentName) -> Learner | None:
         """Return the learner of an environment; None if it is a medium."""
-        given = {**BUILT_IN, **self.learners}.get(environment)
-        if given is None:
-            return None
-        if given.single is not None and (whole := self.learner(given.single)):
-            return replace(whole, name=environment, is_single=True)
-        return Learner(
-            environment,
-            THROWS_GROUPS.get(environment, environment),
-            False,
-            completed(getattr(self, THROWS_GROUPS.get(environment, "throws")), given.throws),
-            completed(self.network, given.network),
-            completed(self.training, given.training),
-            given.n_members or self.ensemble.n_members,
-        )
+        groups = LearnerSettings(throws=self.throws, network=self.network, training=self.training)
+        return learner_of(environment, self.learners, groups, self.ensemble.n_members)
+
+    def trials(self) -> list[tuple[EnvironmentName, float, int]]:
+        """List the environment, depth [m] and number of every trial; single networks come beside their ensembles."""
+        grid = self.grid
+        arms = [(environment, depth) for depth in grid.depths for environment in grid.environments]
+        for name, learner in self.learners.items():
+            if learner.single in grid.environments and name not in grid.environments:
+                arms += [(name, depth) for depth in grid.single_member_depths if depth in grid.depths]
+        return [(environment, depth, trial) for environment, depth in arms for trial in range(grid.n_trials)]
 
     @property
     def arm_learners(self) -> dict[EnvironmentName, Learner]:
         """The learners that are arms or the target, in the order of listings."""
-        names = in_order([self.target, *(environment for environment, _, _ in self.grid.trials())])
+        names = in_order([self.target, *(environment for environment, _, _ in self.trials())])
         return {name: learner for name in names if (learner := self.learner(name))}
 
     @property
-    def ensembles(self) -> dict[str, Learner]:
-        """The learners of the arms' ensembles, by data set; the first ensemble is the main one."""
+    def ensembles(self) -> dict[EnvironmentName, Learner]:
+        """The learners whose networks the arms use; the first ensemble is the main one."""
         arms = sorted(self.arm_learners.values(), key=lambda one: one.is_single)
-        return {one.data_set: replace(one, is_single=False) for one in arms}
+        return {one.data_set: whole for one in arms if (whole := self.learner(one.data_set))}
+
+
+def _merged(group: Any, changes: Any) -> Any:
+    """Return nested settings, with changes in place of what they name."""
+    group, changes = (one.model_dump() if isinstance(one, LearnerSettings) else one for one in (group, changes))
+    if not isinstance(group, Mapping) or not isinstance(changes, Mapping):
+        return changes
+    return {**group, **{name: _merged(group.get(name), value) for name, value in changes.items()}}
 
 
 class RecordedEvolution(EvolutionSettings, extra="allow"):
@@ -469,5 +463,5 @@ class RecordedSettings(Settings, extra="allow"):
     @property
     def missing(self) -> list[str]:
         """Names of what is used and has no code."""
-        used = {self.target, *self.grid.environments} - {*ENVIRONMENTS, TANK_MODEL.name, *self.learners}
+        used = {self.target, *self.grid.environments} - {*ENVIRONMENTS, *self.learners}
         return sorted(used | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})

@@ -52,7 +52,7 @@ class StudyPage:
     @property
     def looks(self) -> dict[str, Look]:
         """How the arms are drawn."""
-        arms = (environment for environment, _, _ in self.settings.grid.trials())
+        arms = (environment for environment, _, _ in self.settings.trials())
         return looks_of(arms, self.settings.target, self.settings.arm_learners)
 
     @property
@@ -162,7 +162,7 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
         deepest=[row for row in page.rows("transfer") if row.depth == depth and row.zero_shot.value is not None],
         singles={name for name, learner in learners.items() if learner.is_single},
         kind_of=partial(arm_kind, learners=learners),
-        arms=[arm_kind(name, learners) for name in dict.fromkeys(name for name, _, _ in settings.grid.trials())],
+        arms=[arm_kind(name, learners) for name in dict.fromkeys(name for name, _, _ in settings.trials())],
         objective=None if objective.is_papers else objective.with_unit(settings.selected_for),
         score=objective.label.lower(),
         unit=objective.unit,

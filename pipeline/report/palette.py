@@ -4,8 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import cycle
 
-from tasks.residual import Learner, arm_kind
-from tasks.world import in_order
+from tasks.residual import Learner, arm_kind, in_order
 
 
 @dataclass(frozen=True)

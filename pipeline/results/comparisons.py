@@ -13,7 +13,8 @@ from tasks.analysis.comparison import Comparison, compare
 from tasks.analysis.registry import scored_by
 from tasks.analysis.scores import QUANTITIES, arms
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
-from tasks.world import environment_kind, in_order
+from tasks.residual import arm_kind, in_order
+from tasks.world import ENVIRONMENTS
 
 SUFFIXES = (".html", *WRITERS)
 SAID_ABOVE = ("b",)  # column that a heading makes superfluous: B is the same study or arm in every row
@@ -40,7 +41,7 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
     """
     if a == b:
         raise PuddleError(f"--arms: expected two arms, got {a} twice")
-    known = dict.fromkeys(name for name, _, _ in study.settings.grid.trials())
+    known = dict.fromkeys(name for name, _, _ in study.settings.trials())
     for arm in (a, b):
         if arm not in known:
             raise PuddleError(f"--arms: expected arms of study {study.name} ({', '.join(known)}), got {arm!r}")
@@ -48,7 +49,7 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
     rows = compare(trials, trials, [((a, quantity), (b, quantity)) for quantity in QUANTITIES], study.settings.target)
     if not rows:
         raise PuddleError(f"study {study.name}: {a} and {b} have no champions at the same depth yet")
-    names, objective = [environment_kind(arm).label for arm in (a, b)], study.settings.evolution.maximised
+    names, objective = [arm_kind(arm).label for arm in (a, b)], study.settings.evolution.maximised
     return Compared(f"{names[0]} against {names[1]} in study {study.name}", names[0], names[1], (), rows, objective)
 
 
@@ -74,8 +75,9 @@ def compare_studies(a: Study, b: Study) -> Compared:
             f"studies {a.name} and {b.name} have no champions of the same environment at the same depth: expected "
             f"some in both, got {listed[0] or 'none'} in {a.name} and {listed[1] or 'none'} in {b.name}"
         )
-    used = (name for study in (a, b) for name in (study.settings.target, *study.settings.grid.environments))
-    of_displacement = ("physics.", "rollout.", *(f"{environment_kind(name).settings_group or name}." for name in used))
+    used = {name for study in (a, b) for name in (study.settings.target, *study.settings.grid.environments)}
+    groups = (ENVIRONMENTS[name].settings_group if name in ENVIRONMENTS else name for name in used)
+    of_displacement = ("physics.", "rollout.", *(f"{group}." for group in groups))
     physical = [name for name, _, _ in changes if name == "target" or name.startswith(of_displacement)]
     caution = f"They differ in what a displacement is: {', '.join(physical)}." if physical else ""
     names = f"study {a.name}", f"study {b.name}"

@@ -18,7 +18,7 @@ from pipeline.errors import PuddleError
 from pipeline.report.render import as_html
 from pipeline.results.study_tables import KEYS, SOURCES, available, field_of, keys_of, parts_of
 from pipeline.stages import STAGES, environments
-from pipeline.stages.data_sets import data_sets, ensemble_ids, networks_of
+from pipeline.stages.data_sets import DataSetId, data_sets, ensemble_ids, networks_of
 from pipeline.stages.transfer import ADAPTED, CHAMPION, read_trials
 from pipeline.stages.trial_scores import SCORE, decode_scores
 from pipeline.store.design_file import design_from
@@ -240,24 +240,23 @@ class Study:
         at = environments.build_environment(spec.media, environment, depth, networks)
         return environments.roll_out(spec, Execution(self.settings.work.engine), at, designs, trace=trace)
 
-    def ensemble(self, *, throws: str | None = None, replicate: int = 0) -> EnsembleMedium:
+    def ensemble(self, *, learner: str | None = None, replicate: int = 0) -> EnsembleMedium:
         """Return the trained networks, for ``ResidualSlush(depth=9.0, ensemble=study.ensemble())``.
 
         Args:
-            throws: data set that they learned from: ``throws``, ``designed_throws`` or the name of the study's own
-                learner; by default the main one.
-            replicate: number of the data set.
+            learner: whose networks, such as ``designed_throws``; by default the main one.
+            replicate: number of its data set.
 
         Raises:
             PuddleError: the study has no such ensemble.
             MissingInputs: a network is not trained yet.
         """
         known = data_sets(self.settings)
-        group = throws or next((data_set.group for data_set in known), "throws")
-        wanted = [one for one in known if (one.group, one.replicate) == (group, replicate)]
+        name = learner or next((data_set.learner for data_set in known), "residual_slush")
+        wanted = [one for one in known if one == DataSetId(name, replicate)]
         if not wanted:
             listed = ", ".join(data_set.label for data_set in known) or "none: no arm of its grid learns from throws"
-            raise PuddleError(f"study {self.name} has networks of {listed}; got replicate {replicate} of {group}")
+            raise PuddleError(f"study {self.name} has networks of {listed}; got replicate {replicate} of {name}")
         networks = environments.read_networks(ensemble_ids(self.settings, wanted[0]), self.upstream, self.store)
         return environments.ensemble_of(networks)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
-from pipeline.stages.data_sets import PAPERS_GROUP, DataSetId, ensemble_ids
+from pipeline.stages.data_sets import DataSetId, ensemble_ids
 from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
@@ -22,9 +22,9 @@ from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
-from tasks.residual import ensemble_of_data_set
+from tasks.residual import arm_kind
 from tasks.seeding import generator
-from tasks.world import EnvironmentName, environment_kind
+from tasks.world import EnvironmentName
 
 PREDICTIONS = "predictions.parquet"
 ASSESSED = "assessed"  # role of the inputs of later stages that are a trial's predictions
@@ -58,8 +58,7 @@ class AssessmentId:
     @property
     def label(self) -> str:
         """Name for display."""
-        group = "" if self.data_set.group == PAPERS_GROUP else f"{self.data_set.group}/"
-        return f"{group}{self.trial.label}"
+        return f"{self.data_set.learner}/{self.trial.label}"
 
 
 @dataclass(frozen=True)
@@ -71,6 +70,7 @@ class AssessSpec:
     seed: int
     simulation: SimulationSpec
     target: EnvironmentName
+    learner: EnvironmentName  # whose networks predict
 
 
 def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
@@ -85,15 +85,23 @@ def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
     ]
     if not trials or not settings.needs_ensemble or settings.learner(settings.target):
         return []
-    simulation = environments.simulation_spec(settings, settings.target)
-    groups = tuple(settings.ensembles)
     shares = zip(trials, spread_evenly(settings.assess.n_designs, len(trials)), strict=True)
     return [
-        Chain(AssessmentId(trial, DataSetId(group, trial.replicate)), (n,), spec)
+        Chain(
+            AssessmentId(trial, DataSetId(learner, trial.replicate)),
+            (n,),
+            AssessSpec(
+                trial,
+                n,
+                settings.seed,
+                environments.simulation_spec(settings, settings.target, learner),
+                settings.target,
+                learner,
+            ),
+        )
         for trial, n in shares
         if n
-        for spec in [AssessSpec(trial, n, settings.seed, simulation, settings.target)]
-        for group in groups
+        for learner in settings.ensembles
     ]
 
 
@@ -117,7 +125,6 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
     drawn = draw_over_generations(history["generation"], spec.n_designs, rng)
     designs = Designs.from_arrays(history)[drawn]
     networks = environments.networks_among(inputs)
-    learner = ensemble_of_data_set(next(iter(networks)).data_set.group)
     true, predicted = (
         environments.roll_out(
             spec.simulation,
@@ -125,7 +132,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
             environments.build_environment(spec.simulation.media, name, trial.depth, networks),
             designs,
         )
-        for name in (spec.target, learner)
+        for name in (spec.target, spec.learner)
     )
     columns = {
         "environment": np.full(len(drawn), trial.environment),
@@ -139,7 +146,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
         "predicted_com": predicted.com_displacement.T,
         **dict(designs.arrays()),
     }
-    units = _units(environment_kind(spec.target).label)
+    units = _units(arm_kind(spec.target).label)
     return {PREDICTIONS: encode_table(columns, schema="predictions", version=1, producer=item.key, units=units)}
 
 

@@ -76,7 +76,7 @@ def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
     chains = list[Chain[ChunkSpec | TracksSpec]]()
     ensembles, size = settings.ensembles, settings.work.throws_per_item
     for data_set in data_sets(settings):
-        throws = ensembles[data_set.group].throws
+        throws = ensembles[data_set.learner].throws
         if throws.source == "tracks" and settings.tracks is not None:
             of_tracks = TracksSpec(unnamed(settings.tracks), settings.physics)
             chains.append(Chain(ChunkId(data_set, 0), (throws.n_throws,), of_tracks))
@@ -157,7 +157,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             continue
         transitions = read_transitions([{TRANSITIONS: store.read(part, TRANSITIONS)} for part in done.values()])
         name = "" if len(data_sets(settings)) == 1 else f"{data_set.label}: "
-        if settings.ensembles[data_set.group].network.form == "wetted":
+        if settings.ensembles[data_set.learner].network.form == "wetted":
             flow, sd = current(transitions)
             if abs(flow) > max(4 * sd, 0.05):
                 lines.append(
@@ -180,7 +180,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         )
         figures = {"wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet}
         counts = {"n_throws": float(n_throws), "n_transitions": float(len(transitions))}
-        metrics |= {f"{data_set.prefix.replace('/', '.')}{key}": x for key, x in {**counts, **figures}.items()}
+        metrics |= {f"{data_set.label.replace('/', '.')}.{key}": x for key, x in {**counts, **figures}.items()}
     return Summary(lines=lines or ["no throws"], metrics=metrics)
 
 

@@ -8,33 +8,20 @@ from dataclasses import dataclass
 from pipeline.config.settings import Settings
 from pipeline.workflow.identity import TrialId, trials_of
 from tasks.residual import Learner
-from tasks.world import environment_kind
-
-PAPERS_GROUP = "throws"
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
 @dataclass(frozen=True)
 class DataSetId:
     """One replicate of the throws of one learner."""
 
-    group: str  # Learner.data_set
+    learner: EnvironmentName
     replicate: int
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """What tells it from the first replicate of the paper's throws: its group, and its replicate."""
-        group = () if self.group == PAPERS_GROUP else (self.group,)
-        return (*group, f"replicate-{self.replicate}") if self.replicate else group
-
-    @property
-    def prefix(self) -> str:
-        """Prefix of the labels of its parts; "" for the first replicate of the paper's throws."""
-        return "".join(f"{part}/" for part in self.parts)
 
     @property
     def label(self) -> str:
         """Name in messages and tables."""
-        return "/".join(self.parts) or PAPERS_GROUP
+        return f"{self.learner}/replicate-{self.replicate}" if self.replicate else self.learner
 
 
 @dataclass(frozen=True)
@@ -47,7 +34,7 @@ class ChunkId:
     @property
     def label(self) -> str:
         """Name for display."""
-        return f"{self.data_set.prefix}throws-{self.first}"
+        return f"{self.data_set.label}/throws-{self.first}"
 
 
 @dataclass(frozen=True)
@@ -60,22 +47,22 @@ class NetworkId:
     @property
     def label(self) -> str:
         """Name for display."""
-        return f"{self.data_set.prefix}member-{self.index:02d}"
+        return f"{self.data_set.label}/member-{self.index:02d}"
 
 
 def data_sets(settings: Settings) -> list[DataSetId]:
     """List the data sets of a study, the main one first."""
-    return [DataSetId(group, k) for group in settings.ensembles for k in range(settings.replicates)]
+    return [DataSetId(name, k) for name in settings.ensembles for k in range(settings.replicates)]
 
 
-def data_set_of(trial: TrialId, learner: Learner | None, group: str) -> DataSetId:
-    """Return the data set that a trial uses: that of its own learner, or of a given group if it has none."""
-    return DataSetId(learner.data_set if learner else group, trial.replicate)
+def data_set_of(trial: TrialId, learner: Learner | None, main: EnvironmentName) -> DataSetId:
+    """Return the data set that a trial uses: that of its own learner, or of the main one if it has none."""
+    return DataSetId(learner.data_set if learner else main, trial.replicate)
 
 
 def replicate_of(trial: TrialId) -> int:
     """Return the replicate that a trial depends on; 0 for all trials of an environment without networks."""
-    return trial.replicate if environment_kind(trial.environment).learned else 0
+    return 0 if trial.environment in ENVIRONMENTS else trial.replicate
 
 
 def own_network(trial: TrialId) -> int:
@@ -85,7 +72,7 @@ def own_network(trial: TrialId) -> int:
 
 def ensemble_ids(settings: Settings, data_set: DataSetId) -> list[NetworkId]:
     """List the members of a data set's ensemble."""
-    return [NetworkId(data_set, index) for index in range(settings.ensembles[data_set.group].n_members)]
+    return [NetworkId(data_set, index) for index in range(settings.ensembles[data_set.learner].n_members)]
 
 
 def networks_of(trial: TrialId, learner: Learner | None) -> list[NetworkId]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -17,12 +18,13 @@ from tasks.design import Designs, random_designs
 from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual import Architecture
+from tasks.residual.learner import NetworkUse
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
 from tasks.simulation.fluids import is_compiled
-from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, environment_kind
-from tasks.world.medium import MediumError
+from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, MeanResidual, Physics, ResidualSlush
+from tasks.world.medium import MediumError, Networks
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 MEMBER, OF_TARGET = "member", "target-member"  # roles of the inputs that are networks, and those of a learned target
@@ -30,7 +32,8 @@ _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh n
 _CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land
 
 
-Media = Mapping[str, Parameters]  # settings of the environments' media, by group
+Media = Mapping[EnvironmentName, Parameters | NetworkUse | None]
+"""What environments consist of: the settings of a medium, how networks are used, or nothing for dry land."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,14 @@ class SimulationSpec:
 
 
 def media_of(settings: Settings, *environments: EnvironmentName) -> Media:
-    """Select the settings of some environments' media; random ones get the study's seed."""
-    kinds = map(environment_kind, environments)
-    return {
-        kind.settings_group: kind.for_study(getattr(settings, kind.settings_group), settings.seed)
-        for kind in kinds
-        if kind.settings_group is not None
-    }
+    """Select what some environments consist of; random media get the study's seed."""
+    media: dict[EnvironmentName, Parameters | NetworkUse | None] = {}
+    for name in environments:
+        kind, learner = ENVIRONMENTS.get(name), settings.learner(name)
+        media[name] = learner.use if learner else None
+        if kind and kind.settings_group:
+            media[name] = kind.for_study(getattr(settings, kind.settings_group), settings.seed)
+    return media
 
 
 def simulation_spec(settings: Settings, *environments: EnvironmentName) -> SimulationSpec:
@@ -60,18 +64,31 @@ def simulation_spec(settings: Settings, *environments: EnvironmentName) -> Simul
 def build_environment(
     media: Media, name: EnvironmentName, depth: float, networks: Mapping[NetworkId, Files]
 ) -> Environment:
+    """Return an environment at a depth [m], of its medium or of its networks; see :func:`environment_of`."""
+    return environment_of(media, name, depth, ensemble_of(networks) if isinstance(media[name], str) else None)
+
+
+def environment_of(
+    media: Mapping[EnvironmentName, Any], name: EnvironmentName, depth: float, ensemble: EnsembleMedium | None = None
+) -> Environment:
     """Return an environment.
 
     Args:
-        media: settings, which include those of its medium.
+        media: what environments consist of, this one among them.
         name: name of the environment.
         depth: of the ground below the surface [m].
-        networks: its members, if it has any.
+        ensemble: its networks, if it is a learner's.
+
+    Raises:
+        PuddleError: the code of its medium is not here.
     """
-    kind = environment_kind(name)
-    if kind.learned and not networks:
+    if ensemble is not None and media[name] == "mean":
+        return MeanResidual(depth, cast(Networks, ensemble))
+    if ensemble is not None and isinstance(media[name], str):
+        return ResidualSlush(depth, ensemble)
+    if name not in ENVIRONMENTS:
         raise PuddleError(f"{name}: expected the code of the medium, found none")
-    return kind.environment(depth, media, ensemble_of(networks) if kind.learned else None)
+    return ENVIRONMENTS[name].environment(depth, media[name])
 
 
 def ensemble_of(networks: Mapping[NetworkId, Files]) -> EnsembleMedium:
@@ -108,7 +125,7 @@ def execution_options(settings: Settings, environment: EnvironmentName) -> Execu
     Only slow rollouts are split: without networks the batch engine takes milliseconds for a generation, less than it
     takes to hand out its parts.
     """
-    slow = environment_kind(environment).learned or settings.work.engine == "reference"
+    slow = environment in settings.learners or settings.work.engine == "reference"
     return Execution(settings.work.engine, settings.work.designs_per_batch if slow else None)
 
 
@@ -116,7 +133,7 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many trials of an environment fill the engine's lanes together, where one leaves some empty."""
     if settings.work.engine != "batch":
         return 1
-    if environment_kind(environment).learned:  # an ensemble fills the lanes; single members differ between trials
+    if environment in settings.learners:  # an ensemble fills the lanes; single members differ between trials
         return 1
     size = getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here
     return n_that_fill_lanes(size, settings.physics)
@@ -131,9 +148,9 @@ def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
 
 def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate what a robot's step costs in a medium without a kernel, beside a step on dry land and relative to it."""
-    if settings.work.engine != "batch" or environment_kind(environment).learned:
+    if settings.work.engine != "batch" or environment not in ENVIRONMENTS:
         return 0.0  # where the slush is in NumPy, too; or the medium's code is not here
-    home = environment_kind(environment).environment(0.0, media_of(settings, environment))
+    home = environment_of(media_of(settings, environment), environment, 0.0)
     if all(medium is None or is_compiled(medium) for medium in (component.medium for component in home.components)):
         return 0.0
     n_batched = min(batch_size(settings, environment), settings.grid.n_trials)
@@ -144,8 +161,9 @@ def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many members simulate each design in an environment, 1 without an ensemble."""
     if learner := settings.learner(environment):
         return 1 if learner.is_single else learner.n_members
-    kind = environment_kind(environment)  # neither a learner's nor known: code that is not here
-    return 1 if kind.learned else kind.environment(0.0, media_of(settings, environment)).n_members
+    if environment not in ENVIRONMENTS:  # of code that is not here
+        return 1
+    return environment_of(media_of(settings, environment), environment, 0.0).n_members
 
 
 def network_flops(network: Architecture) -> int:
@@ -204,7 +222,8 @@ class FitnessSpec:
 def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:
     """Return what designs are selected for in an environment."""
     objective, depths = settings.evolution.objective, settings.objective_depths
-    if not environment_kind(environment).is_ensemble:
+    kind = settings.learner(environment) or ENVIRONMENTS.get(environment)
+    if kind is None or not kind.is_ensemble:
         return FitnessSpec(0.0, objective, depths, "population")
     return FitnessSpec(settings.ensemble.disagreement_penalty, objective, depths, settings.ensemble.deviation)
 

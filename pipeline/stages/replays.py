@@ -17,8 +17,8 @@ from tasks.design import Designs
 from tasks.evolution.map_elites import CELL, measure_bodies
 from tasks.residual import arm_kind
 from tasks.simulation import Rollouts
-from tasks.world import EnsembleMedium, Environment, EnvironmentName, environment_kind
-from tasks.world.registry import EnvironmentKind
+from tasks.world import EnsembleMedium, Environment, EnvironmentName
+from tasks.world.registry import ArmKind
 
 
 def replays_of(study: StudyFiles) -> list[Replay]:
@@ -74,7 +74,7 @@ def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
 
     It is the best zero-shot, or the best where it evolved if none survives the target.
     """
-    if environment_kind(own[0].environment).learned and not study.has_networks:
+    if arm_kind(own[0].environment).learned and not study.has_networks:
         return []
     scored = np.array([champion.zero_shot for champion in own])
     survives = bool(np.isfinite(scored).any())
@@ -131,7 +131,7 @@ def _replay(
 def replay_in(
     design: Designs,
     rollouts: Rollouts,
-    kind: EnvironmentKind,
+    kind: ArmKind,
     environment: Environment,
     simulation: SimulationSpec,
     *,

@@ -30,10 +30,10 @@ from tasks.analysis.scores import Champion, ScoredTrial
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES, Objective, Population
-from tasks.residual import Learner
+from tasks.residual import Learner, arm_kind
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
-from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, Slush, environment_kind
+from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, Slush
 from tasks.world.slush import PAPERS_TARGET
 
 EVOLVED = "evolved"  # role of the inputs that are what a trial's search knows at its end
@@ -93,7 +93,7 @@ def data_inputs(settings: Settings, trials: Sequence[TrialId], reads: Sequence[s
     target = settings.learner(settings.target)
     if "train" in reads or target:
         learners, known = settings.arm_learners, data_sets(settings)
-        served = {data_set_of(trial, learners.get(trial.environment), known[0].group) for trial in trials}
+        served = {data_set_of(trial, learners.get(trial.environment), known[0].learner) for trial in trials}
         served |= {DataSetId(target.data_set, 0)} if target else set()
         listed = [data_set for data_set in known if data_set in served]
         members = [network for data_set in listed for network in ensemble_ids(settings, data_set)]
@@ -117,7 +117,7 @@ class StudyFiles:
     @property
     def has_networks(self) -> bool:
         """Whether every network is there that some trial evolved in."""
-        needed = any(environment_kind(trial.environment).learned for trial in self.spec.trials)
+        needed = any(arm_kind(trial.environment).learned for trial in self.spec.trials)
         return bool(self.networks) or not needed
 
     @cached_property
@@ -144,11 +144,11 @@ class StudyFiles:
         found = {name.chain: files for name, files in self.inputs.items() if name.role == EVOLVED}
         return {trial: population_of(found[one]) for trial, one in self._trials.items() if one in found}
 
-    def assessed(self, group: str) -> Assessed | None:
+    def assessed(self, learner: EnvironmentName) -> Assessed | None:
         shares = [
             files
             for name, files in self.inputs.items()
-            if name.role == ASSESSED and isinstance(name.chain, AssessmentId) and name.chain.data_set.group == group
+            if name.role == ASSESSED and isinstance(name.chain, AssessmentId) and name.chain.data_set.learner == learner
         ]
         if not shares:
             return None
@@ -167,7 +167,7 @@ class StudyFiles:
 
     @property
     def has_papers_target(self) -> bool:
-        slush, is_papers = self.spec.simulation.media.get("slush"), self.objective.is_papers
+        slush, is_papers = self.spec.simulation.media[self.target], self.objective.is_papers
         return is_papers and self.target == PAPERS_TARGET and isinstance(slush, Slush) and slush.is_papers
 
     def at_target(self, depth: float) -> Environment:
@@ -229,11 +229,11 @@ class StudyFiles:
         main = next(iter(self.networks)).data_set
         if champion is None:
             return main
-        return data_set_of(self.trial_of(champion), self._learner(champion), main.group)
+        return data_set_of(self.trial_of(champion), self._learner(champion), main.learner)
 
     def _members(self, data_set: DataSetId) -> dict[NetworkId, Files]:
         """Return the members of the ensemble of a data set, without further networks of single-member trials."""
-        n_members = next(one.n_members for one in self.settings.learners.values() if one.data_set == data_set.group)
+        n_members = next(one.n_members for one in self.settings.learners.values() if one.data_set == data_set.learner)
         return {
             one: files for one, files in self.networks.items() if one.data_set == data_set and one.index < n_members
         }

@@ -22,7 +22,7 @@ from tasks.bench.tracks.bars import TrackedBarError
 from tasks.bench.tracks.free_fall import Fall, falls_oddly
 from tasks.bench.tracks.residuals import TrackReport, check_throws
 from tasks.bench.tracks.table import Paths, length_scale_of, time_scale_of
-from tasks.world import TANK_MODEL
+from tasks.residual.learner import TANK_MODEL
 
 TRACK_REPORT = "tracks.json"  # what the tracks are like
 TRACKED, BARS = InputName("tracks"), InputName("bars")
@@ -70,7 +70,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
         arms = given.get("grid", {}).get("environments", ())
         asked = "target" in settings.model_fields_set or settings.target in arms
         if not (recorded or asked):
-            given["target"] = TANK_MODEL.name
+            given["target"] = TANK_MODEL
         return Settings.model_validate(given)
     except ValidationError as error:
         raise PuddleError("; ".join(found["msg"].removeprefix("Value error, ") for found in error.errors())) from None

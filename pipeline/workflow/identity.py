@@ -81,7 +81,7 @@ class OutputId:
 
 def trials_of(settings: Settings, stage: str) -> list[TrialId]:
     """List the study's trials as chains of a stage."""
-    return [TrialId(stage, *row, settings.replicates) for row in settings.grid.trials()]
+    return [TrialId(stage, *row, settings.replicates) for row in settings.trials()]
 
 
 def arms_of(trials: Sequence[TrialId]) -> dict[Arm, list[TrialId]]:

@@ -10,7 +10,8 @@ import numpy as np
 from tasks.analysis.estimates import Sample, sample_of
 from tasks.analysis.registry import SCORE, OfTrial, ScoreUnit, column
 from tasks.design import Designs
-from tasks.world import EnvironmentName, environment_kind, in_order
+from tasks.residual.learner import arm_kind, in_order
+from tasks.world import EnvironmentName
 
 Quantity = Literal["predicted", "zero_shot", "adapted"]
 """Score where a champion evolved; in the target; in the target with a controller that evolved there."""
@@ -22,7 +23,7 @@ ScoredArm = tuple[EnvironmentName, Quantity]  # champions of one environment, ze
 
 def arm_name(arm: ScoredArm) -> str:
     """Return an arm's label and its quantity."""
-    return f"{environment_kind(arm[0]).label} {QUANTITIES[arm[1]]}"
+    return f"{arm_kind(arm[0]).label} {QUANTITIES[arm[1]]}"
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,22 @@
 """Learners: the arms of a study whose robots evolve in networks, and what these networks learn from.
 
-A study names its learners in the settings group ``learners``. Those of the paper, and of throws that are designed for
-robots, are built in.
+A study names its learners in the settings group ``learners``, those of the paper among them.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import Field, model_serializer
 
 from tasks.parameters import Parameters
 from tasks.residual.hyperparameters import Architecture, Training
-from tasks.residual.throws import Throws
-from tasks.world.registry import EnvironmentKind
-from tasks.world.residual_slush import TANK_MODEL, environment_kind
+from tasks.residual.throws import DESIGNED_THROWS, Throws
+from tasks.world.registry import ENVIRONMENTS, ArmKind
 
 GroupT = TypeVar("GroupT", bound=Parameters)
+NetworkUse = Literal["ensemble", "single", "mean"]
 
 
 def stated(group: Parameters) -> dict[str, Any]:
@@ -25,17 +24,17 @@ def stated(group: Parameters) -> dict[str, Any]:
     return {name: value for name, value in group if name in group.model_fields_set}
 
 
-def completed(group: GroupT, given: Parameters) -> GroupT:
+def _completed(group: GroupT, given: GroupT) -> GroupT:
     """Return a settings group, with the settings that were given of another in place of its own."""
-    changes = stated(given)
-    return type(group).model_validate(dict(group) | changes) if changes else group
+    return type(group).model_validate(dict(group) | stated(given))
 
 
 class LearnerSettings(Parameters):
-    """A learner: an arm of the study with its own networks. What it does not state is as in the study's groups."""
+    """A learner: networks that robots evolve in. What it does not state is as in the study's groups."""
 
     throws: Throws = Throws()
-    """Its throws, where they differ from the group throws."""
+    """Its throws, where they differ from the group throws; those of a design that it states are simulated, and differ
+    from the group's defaults."""
     network: Architecture = Architecture()
     """Its networks, where they differ from the group network."""
     training: Training = Training()
@@ -43,7 +42,9 @@ class LearnerSettings(Parameters):
     n_members: int | None = Field(default=None, gt=0, le=64)
     """Number of networks; null for ensemble.n_members."""
     single: str | None = None
-    """Another learner, of whose networks each trial uses one by itself; null for an ensemble of its own."""
+    """Another learner, of whose networks each trial uses one by itself; null for networks of its own."""
+    mean: str | None = None
+    """Another learner, the mean of whose networks is one medium; null for networks of its own."""
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """Show what is stated, even where it is a default."""
@@ -58,28 +59,16 @@ class LearnerSettings(Parameters):
         }
 
 
-BUILT_IN: Mapping[str, LearnerSettings] = {
+TANK_MODEL = "tank_model"  # the target of a study that learned from tracked throws and names no other
+
+LEARNERS: Mapping[str, LearnerSettings] = {
     "residual_slush": LearnerSettings(),
     "single_member": LearnerSettings(single="residual_slush"),
-    "designed_throws": LearnerSettings(),
+    "designed_throws": LearnerSettings(throws=DESIGNED_THROWS),
     "designed_single_member": LearnerSettings(single="designed_throws"),
-    TANK_MODEL.name: LearnerSettings(),
+    TANK_MODEL: LearnerSettings(mean="residual_slush"),
 }
-"""The learners of every study; single ones evolve at grid.single_member_depths."""
-
-PAPERS_SINGLE = "single_member"  # which every study has at these depths
-
-THROWS_GROUPS: Mapping[str, str] = {
-    "residual_slush": "throws",
-    "designed_throws": "designed_throws",
-    TANK_MODEL.name: "throws",
-}
-"""Settings groups of the throws of built-in learners, by which their data sets are called."""
-
-
-def ensemble_of_data_set(data_set: str) -> str:
-    """Return the name of the learner whose ensemble learns from a data set."""
-    return next((name for name, group in THROWS_GROUPS.items() if group == data_set), data_set)
+"""The learners of every study. Single ones evolve at grid.single_member_depths."""
 
 
 @dataclass(frozen=True)
@@ -87,26 +76,134 @@ class Learner:
     """A learner of a study, in full."""
 
     name: str
-    data_set: str  # name of its throws and of the ensemble that learns from them
-    is_single: bool  # whether each trial uses one network by itself, instead of the ensemble
+    data_set: str  # the learner whose throws and networks it uses: itself, or another
+    use: NetworkUse  # of the networks: all, in each trial one by itself, or their mean as one medium
     throws: Throws
     network: Architecture
     training: Training
     n_members: int  # of the ensemble
 
+    @property
+    def is_single(self) -> bool:
+        """Whether each trial uses one network by itself."""
+        return self.use == "single"
+
+    @property
+    def is_ensemble(self) -> bool:
+        """Whether rollouts have an axis of members."""
+        return self.use != "mean"
+
+
+def learner_of(
+    name: str, learners: Mapping[str, LearnerSettings], base: LearnerSettings, n_members: int
+) -> Learner | None:
+    """Return a learner in full; None if a study has none of that name.
+
+    Args:
+        name: its name.
+        learners: those of the study, by name.
+        base: the study's groups, which hold where a learner states nothing else.
+        n_members: of an ensemble whose learner does not state it.
+    """
+    given = learners.get(name)
+    if given is None:
+        return None
+    if source := given.single or given.mean:
+        whole = learner_of(source, learners, base, n_members)
+        return whole and replace(whole, name=name, use="single" if given.single else "mean")
+    throws = Throws() if "design" in stated(given.throws) else base.throws
+    return Learner(
+        name,
+        name,
+        "ensemble",
+        _completed(throws, given.throws),
+        _completed(base.network, given.network),
+        _completed(base.training, given.training),
+        given.n_members or n_members,
+    )
+
 
 NO_LEARNERS: Mapping[str, Learner] = MappingProxyType({})
 
+_KINDS: Mapping[str, ArmKind] = {
+    kind.name: kind
+    for kind in (
+        ArmKind(
+            name="residual_slush",
+            label="Residual Slush",
+            symbol="Ê",
+            evolved="in Residual Slush",
+            about="Dry Land with an ensemble of small neural networks. They learned the residual, which is the "
+            "difference between the target and Dry Land, from links thrown into the target. Fitness is the mean over "
+            "the members minus their disagreement, so that a robot has to do well under all of them.",
+            order=3,
+            learned=True,
+        ),
+        ArmKind(
+            name="single_member",
+            label="Single member",
+            symbol="Ê₁",
+            evolved="with a single member",
+            about="Dry Land with a single network. Robots can exploit its errors: they evolve to use hallucinated "
+            "dynamics.",
+            order=4,
+            learned=True,
+        ),
+        ArmKind(
+            name="designed_throws",
+            label="Designed throws",
+            symbol="Ê*",
+            evolved="in Residual Slush learned from designed throws",
+            about="Residual Slush whose networks learned from throws that are designed for robots: they cover the "
+            "speeds, lengths and heights of robots' links evenly, with as many transitions.",
+            order=5,
+            learned=True,
+        ),
+        ArmKind(
+            name="designed_single_member",
+            label="Designed, single",
+            symbol="Ê*₁",
+            evolved="with a single member learned from designed throws",
+            about="Dry Land with a single network that learned from designed throws.",
+            order=6,
+            learned=True,
+        ),
+        ArmKind(
+            name=TANK_MODEL,
+            label="the model of your tank",
+            symbol="T",
+            evolved="in the model of your tank",
+            order=0,
+            learned=True,
+        ),
+    )
+}
 
-def arm_kind(name: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> EnvironmentKind:
-    """Return an environment as readers of a study know it, whose learners are known by what they learned from."""
-    kind, learner = environment_kind(name), learners.get(name)
+
+def arm_kind(name: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> ArmKind:
+    """Return an arm as readers of a study know it; its own learners are known by what they learned from."""
+    words = name.replace("_", " ")
+    kind = {**ENVIRONMENTS, **_KINDS}.get(name) or ArmKind(
+        name=name,
+        label=words.capitalize(),
+        symbol="Ê",
+        evolved=f"with the networks of {words}",
+        about="Residual Slush as this learner of the study knows it; the settings say what it learned from.",
+        order=6,
+        learned=True,
+    )
+    learner = learners.get(name)
     tracked = learner is not None and learner.throws.source == "tracks"
-    if learner is None or kind is TANK_MODEL or (name in BUILT_IN and not tracked):
+    if learner is None or learner.use == "mean" or (name in _KINDS and not tracked):
         return kind
     throws, networks = learner.throws, "one network" if learner.is_single else "networks"
     what = "your tank" if tracked else f"{throws.n_throws:,} {'designed ' * (throws.design == 'robots')}throws"
-    label = f"{networks} of your tank" if name in BUILT_IN else f"{kind.label} ({what})"
+    label = f"{networks} of your tank" if name in _KINDS else f"{kind.label} ({what})"
     about = f"Dry Land with {networks} ({learner.network.form}) that learned from {'throws in ' * tracked}{what}."
     evolved = f"with the {label}" if tracked and not learner.is_single else kind.evolved
     return replace(kind, label=label[0].upper() + label[1:], evolved=evolved, about=about)
+
+
+def in_order(environments: Iterable[str], first: str = "") -> list[str]:
+    """Return names of environments in the order of listings, each once; the target comes first if it is given."""
+    return sorted(set(environments), key=lambda name: (name != first, arm_kind(name).order, name))

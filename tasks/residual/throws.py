@@ -70,15 +70,8 @@ class Throws(Parameters):
         return robot_ranges(physics).n_steps if self.n_steps is None else self.n_steps
 
 
-class DesignedThrows(Throws):
-    """Settings of throws that are designed for robots."""
-
-    n_throws: int = Field(default=3400, ge=2, le=1_000_000)
-    """Number of throws; of 29 steps each, they are 98,600 transitions, about as many as the paper's 100,000."""
-    n_steps: int | None = Field(default=None, ge=1, le=100_000)
-    """Steps of each throw; null: as many as gravity takes to accelerate a link beyond the range of robots' speeds."""
-    design: Literal["paper", "robots"] = "robots"
-    """Starts, as in throws.design."""
+DESIGNED_THROWS = Throws(design="robots", n_throws=3400, n_steps=None)
+"""Throws that are designed for robots: of 29 steps each, they are 98,600 transitions, about as many as the paper's."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -235,7 +228,7 @@ def throw(
     Raises:
         ValueError: there is no such environment, or it does not have one medium.
     """
-    throws, physics, there = throws or DesignedThrows(), physics or Physics(), as_environment(environment)
+    throws, physics, there = throws or DESIGNED_THROWS, physics or Physics(), as_environment(environment)
     if there.medium is None or there.is_ensemble:
         raise ValueError(f"environment: expected one with one medium, such as true_slush, got {environment!r}")
     starts = initial_states(throws, generator(seed, "collect"), physics)

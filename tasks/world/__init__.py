@@ -10,7 +10,7 @@ from tasks.world.medium import EnsembleMedium, Fluid, LinkStates, Medium, Veloci
 from tasks.world.physics import Physics, froude_time
 from tasks.world.randomised_slush import RandomisedSlush, RandomisedSlushes
 from tasks.world.registry import ENVIRONMENTS, EnvironmentName
-from tasks.world.residual_slush import TANK_MODEL, ResidualSlush, as_environment, environment_kind, in_order
+from tasks.world.residual_slush import MeanResidual, ResidualSlush, as_environment
 from tasks.world.slush import Slush, TrueSlush
 
 import_extensions(__name__, __path__)

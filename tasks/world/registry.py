@@ -1,7 +1,7 @@
 """The registry of environments: names, media, settings groups and how each is drawn.
 
 To add a medium, write one file in ``tasks/world``, as docs/extending.md shows; the package imports every module that it
-contains. A study's own learners are not registered: :func:`tasks.world.environment_kind` names them.
+contains. Learners are not registered: each study has its own (:mod:`tasks.residual.learner`).
 """
 
 from collections.abc import Callable, Mapping
@@ -11,24 +11,29 @@ from typing import Any, TypeAlias
 
 from tasks.parameters import Parameters
 from tasks.world.environment import Environment, Pool
-from tasks.world.medium import EnsembleMedium
 
 
 @dataclass(frozen=True, kw_only=True)
-class EnvironmentKind:
-    """An environment as settings name it and as figures show it."""
+class ArmKind:
+    """What designs of an arm evolve in, as readers see it: an environment with a medium, or a learner."""
 
     name: str  # name in settings, tables and files, such as ``true_slush``
-    build: type[Environment]  # called with the depth [m] and the medium, if it has one
-    settings_group: str | None = None  # group of settings that states the medium's parameters
-    settings: type[Parameters] | None = None  # class of these settings, which is also the medium
-    for_study: Callable[[Any, int], Any] = lambda settings, seed: settings  # these settings in a study with a seed
-    learned: bool = False  # whether the medium consists of trained networks
     label: str
     symbol: str  # symbol in the paper
     evolved: str  # phrase that completes "evolved ..."
     about: str = ""  # what it is, in a few sentences, for a page; empty if its label says it
     order: int = 100  # place in every listing; ties are listed by name
+    learned: bool = False  # whether it consists of trained networks
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentKind(ArmKind):
+    """An environment that is registered: dry land, or a medium with its settings."""
+
+    build: type[Environment]  # called with the depth [m] and the medium, if it has one
+    settings_group: str | None = None  # group of settings that states the medium's parameters
+    settings: type[Parameters] | None = None  # class of these settings, which is also the medium
+    for_study: Callable[[Any, int], Any] = lambda settings, seed: settings  # these settings in a study with a seed
 
     @property
     def is_ensemble(self) -> bool:
@@ -40,28 +45,17 @@ class EnvironmentKind:
         """Whether it has a medium that networks can learn and champions can be transferred to."""
         return not self.is_ensemble and self.build.medium is not Environment.medium
 
-    def environment(
-        self, depth: float, settings: Mapping[str, Any], ensemble: EnsembleMedium | None = None
-    ) -> Environment:
-        """Return the environment at a depth.
+    def environment(self, depth: float, settings: Any = None) -> Environment:
+        """Return the environment at a depth of the ground below the surface [m].
 
         Args:
-            depth: depth of the ground below the surface [m].
-            settings: settings groups by name, as models or as dictionaries.
-            ensemble: trained networks; required if ``learned``.
-
-        Raises:
-            ValueError: the environment requires networks and there are none.
-            KeyError: the medium's settings group is missing.
+            depth: of the ground below the surface [m].
+            settings: its medium's, as a model or a dictionary; by default those of the class.
         """
         build: Callable[..., Environment] = self.build
-        if self.learned:
-            if ensemble is None:
-                raise ValueError(f"{self.name}: expected an ensemble of trained networks, got None")
-            return build(depth, ensemble)
         if self.settings is None:
             return build(depth)
-        return build(depth, self.settings.model_validate(settings[str(self.settings_group)]))
+        return build(depth, self.settings.model_validate({} if settings is None else settings))
 
 
 _registered: dict[str, EnvironmentKind] = {}

@@ -167,7 +167,7 @@ def test_a_target_an_objective_an_analysis_and_genes(tmp_path):
     assert failed == [] and (n_rows, columns) == (3, ["environment", "depth", "trial", "longest"])
     assert (operator, n_designs, champions) == ("random", 4 * 8, [best])
     out = tmp_path / "out"
-    (throws,) = (out / "collect").glob("*/transitions.parquet")
+    (throws,) = (out / "collect").glob("*/*/transitions.parquet")
     table = polars.read_parquet(throws)
     velocity, change = (np.stack(table[name].to_numpy())[:, 3:] for name in ("state", "residual"))
     wet = change.any(axis=1)

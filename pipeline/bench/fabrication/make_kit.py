@@ -7,6 +7,8 @@ from importlib.util import find_spec
 from math import isfinite
 from pathlib import Path
 
+from pydantic_core import to_jsonable_python
+
 from pipeline.bench.fabrication.kit_files import KIT, calibration_yaml, timeline_json, write_folder
 from pipeline.bench.fabrication.source import DesignSource
 from pipeline.errors import PuddleError
@@ -71,7 +73,7 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
             "environment": source.settings.target,
             "depth": source.depth,
             "physics": physics.model_dump(mode="json"),
-            "media": {name: medium.model_dump(mode="json") for name, medium in media.items()},
+            "media": to_jsonable_python(media),
             "rollout": source.settings.rollout.model_dump(mode="json"),
             "predicted": None if source.predicted is None else list(source.predicted),
         },

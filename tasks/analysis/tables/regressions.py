@@ -16,7 +16,7 @@ from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, o
 from tasks.analysis.registry import Assessed, StudyData, analysis, column
 from tasks.arrays import Float64, Int64
 from tasks.evolution import Deviation, penalised_mean
-from tasks.residual.learner import NO_LEARNERS, Learner, arm_kind, ensemble_of_data_set
+from tasks.residual.learner import NO_LEARNERS, Learner, arm_kind
 
 MEAN, CAUTIOUS = "mean", "mean - 1 sd"  # the paper's two aggregates, μ and μ − σ
 _METRICS = {CAUTIOUS: "mean_less_1_sd"}
@@ -24,9 +24,9 @@ _MIN_DESIGNS = 3  # any two points lie on a line
 _HIGHEST_R = 1 - 1e-12  # of Fisher's transformation, which is infinite at 1
 
 
-def ensemble_name(group: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> str:
-    """Name the ensemble that learned from a data set."""
-    return arm_kind(ensemble_of_data_set(group), learners).label
+def ensemble_name(name: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> str:
+    """Name the ensemble of a learner."""
+    return arm_kind(name, learners).label
 
 
 def predictor_name(name: str) -> str:
@@ -38,7 +38,7 @@ def predictor_name(name: str) -> str:
 class Regression:
     """True displacement = intercept + slope · predicted displacement, over designs that diverged in neither."""
 
-    learned_from: str = column("ensemble", form=ensemble_name, meaning="Data set that it learned from.")
+    learned_from: str = column("ensemble", form=ensemble_name, meaning="The learner whose throws it learned from.")
     name: str = column("by", form=predictor_name, meaning="A member, their mean μ, or μ less a deviation over members.")
     r: Estimate = column("R", form="{:z.2f}", meaning="Pearson's correlation.")
     slope: Estimate = column("slope", form="{:z.2f}", meaning="Below 1, predictions are too optimistic.")

@@ -9,7 +9,7 @@ from tasks.analysis import paper
 from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
 from tasks.analysis.registry import SCORE, OfArm, ScoreUnit, StudyData, analysis, column, percent
 from tasks.analysis.scores import ScoredTrial, arms
-from tasks.residual.learner import BUILT_IN
+from tasks.residual.learner import LEARNERS
 from tasks.world import EnvironmentName
 
 
@@ -89,7 +89,7 @@ def papers_mean(environment: str, quantity: str, depth: float) -> float | None:
 
 def _metrics(rows: Sequence[TransferRow]) -> dict[str, float | None]:
     """Return displacements and shares at the greatest depth; MLflow shows the first ten characters of their names."""
-    single = [name for name, learner in BUILT_IN.items() if learner.single]
+    single = [name for name, learner in LEARNERS.items() if learner.single]
     found = [row for row in rows if row.depth == rows[0].depth and row.environment not in single]
     metres = {f"m.{row.environment}": row.zero_shot.value for row in found}
     return metres | {f"share.{row.environment}": row.zero_shot_share for row in found if row.zero_shot_share != 1}

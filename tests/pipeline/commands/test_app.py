@@ -184,5 +184,5 @@ def test_depths_with_the_same_label_are_refused(grid):
 
 
 def test_single_members_evolve_only_at_depths_of_the_grid():
-    grid = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three").grid
-    assert {depth for _, depth, _ in grid.trials()} == {3.0}
+    settings = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three")
+    assert {depth for _, depth, _ in settings.trials()} == {3.0}

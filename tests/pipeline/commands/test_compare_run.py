@@ -50,7 +50,8 @@ def run(robot, tmp_path_factory):
     simulated = {
         "depth": 2.0,
         "physics": LOCKED.model_dump(mode="json"),
-        "media": {"slush": Slush().model_dump(mode="json")},
+        "environment": "true_slush",
+        "media": {"true_slush": Slush().model_dump(mode="json")},
         "rollout": RolloutSettings().model_dump(mode="json"),
         "predicted": None,
     }

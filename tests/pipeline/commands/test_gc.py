@@ -43,7 +43,14 @@ def test_a_study_stopped_halfway_needs_its_finished_items(options, store):
     assert found >= {item.key for item in record.items if item.stage == "report"}
 
 
-@pytest.mark.parametrize("lost", [("collect", "throws-2"), ("train", "member-01"), ("transfer", "dry_land/1m/trial-0")])
+@pytest.mark.parametrize(
+    "lost",
+    [
+        ("collect", "residual_slush/throws-2"),
+        ("train", "residual_slush/member-01"),
+        ("transfer", "dry_land/1m/trial-0"),
+    ],
+)
 def test_nothing_is_removed_while_a_recorded_item_is_gone(lost, recorded, tmp_path):
     """It will be computed again, to the same bytes, and so what was made from it is needed."""
     store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)

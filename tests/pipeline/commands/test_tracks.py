@@ -179,7 +179,6 @@ def edit(folder: Path, file: str, old: str, new: str) -> None:
         ((), ("tracks.length_unit=mm",), "check tracks.length_unit (m or mm), tracks.scaling and"),
         ((), ("tracks.flip_y=true",), "bars fall freely upward"),
         ((), ("tracks.angle_unit=deg",), "expected more than 6.28: check tracks.angle_unit"),
-        ((), ("replicates=1", "designed_throws.source=tracks"), "only throws can be tracked"),
         ((), ("throws.source=simulation",), "throws.source is simulation and tracks names a file"),
         ((), ("tracks.file=no-such.csv",), "no-such.csv"),
     ],

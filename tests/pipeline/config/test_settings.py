@@ -23,7 +23,16 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
     settings = parse(Settings, LISTED, name="mine")
     written = settings.model_dump(mode="json")
     stated = {"throws": {"n_throws": 500}, "network": {"form": "plain"}, "n_members": 3}
-    assert written["learners"] == {"fifty": stated, "one_of_fifty": {"single": "fifty"}}
+    few = {"n_throws": 3400, "n_steps": None, "design": "robots"}
+    assert written["learners"] == {
+        "residual_slush": {},
+        "single_member": {"single": "residual_slush"},
+        "designed_throws": {"throws": few},
+        "designed_single_member": {"single": "designed_throws"},
+        "tank_model": {"mean": "residual_slush"},
+        "fifty": stated,
+        "one_of_fifty": {"single": "fifty"},
+    }
     for same in (settings, Settings.model_validate(json.loads(json.dumps(written)))):
         fifty, one, usual = (same.learner(name) for name in ("fifty", "one_of_fifty", "residual_slush"))
         assert (fifty.throws.n_throws, fifty.network.form, fifty.network.width, fifty.n_members) == (
@@ -35,7 +44,7 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         assert (usual.throws, usual.network, usual.n_members) == (settings.throws, settings.network, 8)
         assert fifty.training == usual.training == settings.training
         assert (one.data_set, one.is_single, one.network) == ("fifty", True, fifty.network)
-        assert list(same.ensembles) == ["throws", "fifty"] and same.learner("true_slush") is None
+        assert list(same.ensembles) == ["residual_slush", "fifty"] and same.learner("true_slush") is None
         assert all(same.is_adapted(name) for name in same.grid.environments)
         stating = "LearnerSettings(throws={'n_throws': 500}, network={'form': 'plain'}, n_members=3)"
         assert stating in repr(same) and repr(same).count("\n") == 6
@@ -46,8 +55,6 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
     [
         (["learners={a: {}, a: {}}"], "'a' appears twice"),
         (["learners.dry_land={}"], "learners.dry_land: the name is taken: expected one of its own, got 'dry_land'"),
-        (["learners.throws={}"], "learners.throws: the name is taken"),
-        (["learners.a={}"], "learners.a: expected what differs from the study's groups, any of throws, network"),
         (
             ["throws.source=tracks", "tracks={file: a.csv}", "learners.a.throws.n_throws=20"],
             "learners.a.throws states n_throws, but its throws are the tracked ones of the file",
@@ -59,7 +66,7 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["learners.a.network.form=wet"], "learners.a.network.form: expected 'plain' or 'wetted', got \"wet\""),
         (["learners.a.network.frm=plain"], "unknown setting; did you mean learners.a.network.form?"),
         (["slush.decay=3"], "--set slush.decay=3: slush.decay: unknown setting; did you mean training.decay?"),
-        (["n_steps=3"], "n_steps: unknown setting; did you mean throws.n_steps or designed_throws.n_steps?"),
+        (["n_steps=3"], "n_steps: unknown setting; did you mean throws.n_steps?"),
         (["learners.a.n_members=0"], "learners.a.n_members: expected greater than 0, got 0"),
         (["learners.a.single=b"], "learners.a.single is 'b': expected"),
         (
@@ -67,8 +74,8 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
             "learners.a.single is 'residual_slush' beside n_members: expected",
         ),
         (
-            ["throws.max_velocity=5", "learners.a.throws.design=robots"],
-            "learners.a, with the study's groups: design is",
+            ["learners.a.network.form=wetted", "network.observation=[vx]"],
+            "learners.a, with the study's groups: observation",
         ),
         (["learners.a.throws.source=tracks"], "learners.a.throws.source is tracks, but throws.source is not"),
         (["target=honey"], "target: expected an environment of one medium, any of true_slush, anisotropic_slush"),

@@ -17,6 +17,7 @@ from pipeline.report.page import FIGURES, StudyPage, draw_all
 from pipeline.report.palette import LOOKS
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import transfer_rows
+from tasks.residual import arm_kind
 from tasks.world import ENVIRONMENTS
 
 
@@ -65,16 +66,19 @@ def test_figures_are_five_inches_wide_and_their_text_is_text(drawn):
     assert b"/Subtype /Type0" in figure.pdf  # an embedded TrueType font, not outlines
 
 
+KNOWN = (*ENVIRONMENTS, "residual_slush", "single_member", "designed_throws", "designed_single_member")
+
+
 def test_the_arms_have_their_colours_and_names_and_the_paper_is_at_nine_metres(study, monkeypatch):
     def arms(depth):
-        grid = study.settings.grid.model_copy(update={"environments": tuple(ENVIRONMENTS)})
+        grid = study.settings.grid.model_copy(update={"environments": KNOWN})
         whole = replace(study, settings=study.settings.model_copy(update={"grid": grid}))
         return with_trials(
-            whole, [ScoredTrial(name, depth, 0, 0, zero_shot=2.0, adapted=3.0, status="ok") for name in ENVIRONMENTS]
+            whole, [ScoredTrial(name, depth, 0, 0, zero_shot=2.0, adapted=3.0, status="ok") for name in KNOWN]
         )
 
     deep = draw("transfer_at_depth", arms(9.0), monkeypatch)
-    for kind in ENVIRONMENTS.values():
+    for kind in map(arm_kind, KNOWN):
         assert LOOKS[kind.name].color in deep.svg.decode() and set(kind.label.split()) <= set(texts(deep))
     assert LOOKS["residual_slush"].adapted in deep.svg.decode()
     shallow = draw("transfer_at_depth", arms(1.0), monkeypatch)
@@ -111,7 +115,7 @@ def test_a_shorter_trial_cuts_the_mean_curve(study, monkeypatch):
 
 
 def test_r_and_slope_are_above_each_histogram(drawn, study):
-    fits = {fit.name: fit for fit in study.rows("regressions") if fit.learned_from == "throws"}
+    fits = {fit.name: fit for fit in study.rows("regressions") if fit.learned_from == "residual_slush"}
     shown = texts(drawn["prediction_accuracy"])
     for symbol, fit in (("μ", fits["mean"]), ("μ − σ", fits["mean - 1 sd"])):
         assert f"{symbol}: R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown

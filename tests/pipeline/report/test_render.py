@@ -9,6 +9,7 @@ from matplotlib.mathtext import MathTextParser
 from pipeline.report.render import as_csv, as_html, as_json, as_latex, as_markdown, as_text, written
 from tasks.analysis.estimates import MISSING, Estimate, Mean
 from tasks.analysis.registry import column, environment_name, percent
+from tasks.residual import LEARNERS
 from tasks.world import ENVIRONMENTS
 
 
@@ -83,7 +84,7 @@ def test_markdown():
 
 
 def test_latex_is_ascii_with_balanced_braces_and_mathematics_that_parses():
-    rows = [Reach(name, 1, Mean(1.0, 0.1, 2), MISSING, 0.5, "differs", None, "") for name in ENVIRONMENTS]
+    rows = [Reach(name, 1, Mean(1.0, 0.1, 2), MISSING, 0.5, "differs", None, "") for name in (*ENVIRONMENTS, *LEARNERS)]
     text = as_latex(Reach, rows, "Reach of champions")
     body = text[text.index("\\begin") :]
     assert body.isascii() and body.count("{") == body.count("}") and "\\begin{tabular}{lrrrl}" in body

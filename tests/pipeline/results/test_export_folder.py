@@ -16,7 +16,7 @@ from pipeline.config.settings import Settings
 from pipeline.report import page
 from pipeline.results.export_folder import LARGE_TABLES
 from pipeline.store.design_file import design_json, load_design
-from tasks.world import ENVIRONMENTS
+from tasks.residual import arm_kind
 
 pytestmark = pytest.mark.usefixtures("one_figure")
 
@@ -135,7 +135,7 @@ def test_champions_are_ranked_by_what_they_do_in_true_slush(recorded, capsys):
     printed = capsys.readouterr().out
     champions = puddle.open_study("tiny", recorded).champions().to_pylist()
     ranked = sorted(champions, key=lambda row: -row["zero_shot"])
-    labels = [ENVIRONMENTS[row["environment"]].label.split()[0] for row in ranked]
+    labels = [arm_kind(row["environment"]).label.split()[0] for row in ranked]
     found = [line for line in printed.splitlines() if line.startswith(tuple(labels))]
     assert [line.startswith(label) for line, label in zip(found, labels, strict=True)] == [True] * len(ranked)
     assert all(len(line) <= 80 for line in printed.splitlines() if "`" not in line)

@@ -15,7 +15,7 @@ SETS = """
 name: sets
 replicates: 2
 throws: {n_throws: 4, n_steps: 20}
-designed_throws: {n_throws: 6}
+learners: {designed_throws: {throws: {n_throws: 6}}}
 randomised_slush: {n_members: 3}
 network: {hidden_layers: 1, width: 4}
 training: {n_iterations: 10, batch_size: 16}

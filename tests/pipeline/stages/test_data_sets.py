@@ -53,7 +53,7 @@ def test_data_sets_and_networks_all_differ(sets, settings_with):
         for label, (done,) in labelled(upstream["collect"].done).items()
     }
     assert list(first) == [
-        *("throws-0", "replicate-1/throws-0"),
+        *("residual_slush/throws-0", "residual_slush/replicate-1/throws-0"),
         *("designed_throws/throws-0", "designed_throws/replicate-1/throws-0"),
     ]
     states = [table["state"][0].tolist() for table in first.values()]
@@ -64,12 +64,12 @@ def test_data_sets_and_networks_all_differ(sets, settings_with):
 def test_both_ensembles_are_assessed_on_the_same_designs(sets, analysed):
     store, upstream = sets
     regressions = analysed(sets, "regressions")
-    assert set(regressions["learned_from"]) == {"throws", "designed_throws"}
+    assert set(regressions["learned_from"]) == {"residual_slush", "designed_throws"}
     shares = labelled(upstream["assess"].done)
     for k in range(3):
         one, other = (
             read_predictions([{PREDICTIONS: store.read(shares[label][0], PREDICTIONS)}])
-            for label in (f"true_slush/1m/trial-{k}", f"designed_throws/true_slush/1m/trial-{k}")
+            for label in (f"{learner}/true_slush/1m/trial-{k}" for learner in ("residual_slush", "designed_throws"))
         )
         assert (one["true"] == other["true"]).all() and (one["predicted"] != other["predicted"]).any()
 

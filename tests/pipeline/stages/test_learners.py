@@ -43,13 +43,13 @@ def test_learners_of_a_study_are_arms_like_others(folder):
     assert {"residual_slush", "single_member", "five", "one_of_five"} <= arms and len(champions) == 2 * len(arms)
     members = study.table("learning_curves").to_pydict()
     networks = {*zip(members["data_set"], members["member"], strict=True)}
-    assert networks == {*(("throws", k) for k in range(2)), *(("five", k) for k in range(3))}
+    assert networks == {*(("residual_slush", k) for k in range(2)), *(("five", k) for k in range(3))}
     throws = study.table("transitions").to_pydict()
     assert len({throw for of, throw in zip(throws["data_set"], throws["throw"], strict=True) if of == "five"}) == 5
     for name, n_members in (("residual_slush", 2), ("five", 3), ("one_of_five", 1)):
         assert len(study.table("histories", environment=name)["displacement"][0]) == n_members
-    assert study.ensemble(throws="five").n_members == 3
-    assert {"throws", "five"} == set(study.table("regressions")["learned_from"].to_pylist())
+    assert study.ensemble(learner="five").n_members == 3
+    assert {"residual_slush", "five"} == set(study.table("regressions")["learned_from"].to_pylist())
 
 
 def test_the_page_names_them_in_colours_of_their_own(folder):
@@ -74,7 +74,7 @@ def test_a_design_is_simulated_under_a_learner(folder, capsys):
     where = ("--study", "listed", "--store", str(folder / "store"), "--depth", "1")
     assert call("simulate", str(design), "--environment", "five", *where) == 0
     said = capsys.readouterr().out
-    assert call("simulate", str(design), "--environment", "designed_throws", *where) == 2
+    assert call("simulate", str(design), "--environment", "one_of_five", *where) == 2
     assert said.startswith("Five (5 throws), 1 m deep") and said.count(", ", said.index("members")) == 2
 
 

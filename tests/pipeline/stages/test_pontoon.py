@@ -27,8 +27,8 @@ from tasks.evolution import OPERATORS
 from tasks.world.physics import froude_time
 
 SMALL = (
-    "designed_throws.n_throws=6",
-    "designed_throws.n_steps=20",
+    "learners.designed_throws.throws.n_throws=6",
+    "learners.designed_throws.throws.n_steps=20",
     "network.hidden_layers=1",
     "network.width=4",
     "training.n_iterations=20",
@@ -73,7 +73,7 @@ def tank(built):
 
 def test_the_preset_is_what_the_paper_built_within_what_servos_give():
     settings = load(Settings, preset_path("pontoon"))
-    assert settings.grid.trials() == [("designed_throws", 2.0, trial) for trial in range(16)]
+    assert settings.trials() == [("designed_throws", 2.0, trial) for trial in range(16)]
     assert (settings.rollout.n_settle, settings.rollout.n_measure) == (1000, 5000)
     physics, morphology = settings.physics, settings.evolution.morphology
     assert (physics.max_motor_torque, physics.passive_joints, physics.link_collisions) == (30, "locked", True)

@@ -69,15 +69,15 @@ def test_failures_are_named_and_the_rest_completes(options, monkeypatch, tmp_pat
     store = Store.open(tmp_path / "store", create=False)
     page = (store.export_path("tiny") / "index.html").read_text()
     for stage, label, why in (
-        ("train", "member-01", "TrainingDiverged: member 1: the training loss is nan at iteration 1"),
+        ("train", "residual_slush/member-01", "TrainingDiverged: member 1: the training loss is nan at iteration 1"),
         ("evolve", "dry_land/1m/trial-1", "ArithmeticError: a defect"),
         ("evolve", "dry_land/1m/trial-2", "MemoryError"),
-        ("evolve", "residual_slush/1m/trial-0", "not possible: train of member-01"),
+        ("evolve", "residual_slush/1m/trial-0", "not possible: train of residual_slush/member-01"),
     ):
         assert any(line.startswith(f"{stage}: {label}: ") and why in line for line in said.splitlines())
         assert label in status and why in status
         assert label in page and why in page
-    assert {"member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= {
+    assert {"residual_slush/member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= {
         item.label for item in store.read_study("tiny").items
     }
     inject(monkeypatch)  # the causes are removed: what failed is computed, and nothing else

@@ -50,7 +50,10 @@ def test_the_training_device_is_part_of_a_members_identity(serial_run):
         return train.item(settings, train.plan(settings)[0], 0, None, upstream)
 
     core, gpu = specified("training.device=cpu"), specified("training.device=cuda")
-    assert core.key == labelled(upstream["train"].done)["member-00"][0].key and core.execution == Execution()
+    assert (
+        core.key == labelled(upstream["train"].done)["residual_slush/member-00"][0].key
+        and core.execution == Execution()
+    )
     assert gpu.key != core.key and gpu.execution == Execution(n_gpus=1)
 
 
@@ -62,7 +65,7 @@ def test_a_missing_gpu_is_reported_at_once(kind, request, serial_run):
         cluster = request.getfixturevalue("local_ray") if kind == "ray" else stack.enter_context(serial_cluster())
         if cluster.n_gpus:
             pytest.skip("there is a GPU")
-        with pytest.raises(PuddleError, match=r"train of member-00 is to run on a GPU, and there is none.*device=cpu"):
+        with pytest.raises(PuddleError, match=r"member-00 is to run on a GPU, and there is none.*device=cpu"):
             run(tiny("training.device=cuda"), store, cluster, STAGES[:2])
 
 
@@ -95,9 +98,11 @@ def test_a_stage_whose_inputs_are_missing_says_which_and_how_to_get_them(name, s
     said = refusal(name, tiny(), Store.open(tmp_path / "empty", create=True))
     assert re.match(rf"{name} needs the results of collect.*throws-0.*\n.*`puddle collect`", said), said
     lacking = Store.open(shutil.copytree(store.root, tmp_path / "store"), create=False)
-    lacking.discard("collect", labelled(upstream["collect"].done)["throws-2"][0].key)
+    lacking.discard("collect", labelled(upstream["collect"].done)["residual_slush/throws-2"][0].key)
     said = refusal(name, tiny(), lacking)
-    assert f"{name} needs the results of collect, and 1 of them are missing (the first: throws-2)" in said
+    assert (
+        f"{name} needs the results of collect, and 1 of them are missing (the first: residual_slush/throws-2)" in said
+    )
     if name not in ("train", "evolve"):
         said = refusal(name, tiny("grid.n_trials=2"), store)
         assert f"{name} needs the results of evolve, and 4 of them are missing" in said and "`puddle evolve`" in said
@@ -105,7 +110,7 @@ def test_a_stage_whose_inputs_are_missing_says_which_and_how_to_get_them(name, s
 
 def test_a_damaged_item_alone_is_computed_again(serial_run, tmp_path):
     store, before = serial_run
-    (manifest,) = labelled(before["train"].done)["member-01"]
+    (manifest,) = labelled(before["train"].done)["residual_slush/member-01"]
     damaged = Store.open(shutil.copytree(store.root, tmp_path / "store"), create=False)
     (path,) = damaged.root.glob(f"items/train/*/{manifest.key}/weights.safetensors")
     path.write_bytes(path.read_bytes()[:-1])

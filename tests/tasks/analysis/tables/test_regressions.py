@@ -17,7 +17,7 @@ def assess(predicted, true, trial=None, replicate=None, seed=0):
     trial = [str(k) for k in (np.arange(len(true)) if trial is None else trial)]
     replicate = np.zeros(len(true), int) if replicate is None else replicate
     assessed = Assessed(predicted, true, trial, replicate)
-    return accuracy(assessed, "throws", "population", np.random.default_rng(seed))
+    return accuracy(assessed, "residual_slush", "population", np.random.default_rng(seed))
 
 
 def one(predicted, true, **options):
@@ -105,11 +105,11 @@ def test_every_ensemble_is_assessed_and_the_main_one_gives_the_metrics():
     x, y = noisy(60, 0.5, 1.0)
     assessed = Assessed(np.stack((x, x + 0.1)), y, [str(k) for k in range(60)], np.zeros(60, int))
     study = SimpleNamespace(
-        settings=SimpleNamespace(data_sets=("throws", "designed_throws", "none"), deviation="population"),
+        settings=SimpleNamespace(data_sets=("residual_slush", "designed_throws", "none"), deviation="population"),
         assessed=lambda group: None if group == "none" else assessed,
         rng=lambda *identity: np.random.default_rng(0),
     )
     rows = regressions(study)
-    assert [row.learned_from for row in rows] == ["throws"] * 4 + ["designed_throws"] * 4
+    assert [row.learned_from for row in rows] == ["residual_slush"] * 4 + ["designed_throws"] * 4
     metrics = ANALYSES["regressions"].metrics(rows)
     assert metrics["accuracy.r.mean"] == rows[2].r.value and "accuracy.slope.mean_less_1_sd" in metrics
