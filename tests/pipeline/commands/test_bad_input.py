@@ -88,5 +88,5 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
         assert words.count(f"{arm}/1m/trial-0: no champion: every design of the trial diverged") == 1
     for arm, n_assessed in (("true_slush", 10), ("dry_land", 11)):
         said = f"{n_assessed} of {n_assessed} designs diverged, in the target or under a member"
-        assert f"assess: {arm}/1m/trial-0: {said}" in words
+        assert f"assess: residual_slush/{arm}/1m/trial-0: {said}" in words
     assert not re.search(r"transfer: \w+/", words)
