@@ -34,69 +34,8 @@ MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4e9
 """Room required in memory: ten times what the tests write, and Ray's shared memory."""
 
-TOGETHER = {
-    "local_ray": (
-        "cluster/test_cluster.py",
-        "workflow/test_study.py",
-        "workflow/test_dispatcher.py",
-        "torture/test_order.py",
-    ),
-    "kit": (
-        "fabrication/test_bench.py",
-        "fabrication/test_exports.py",
-        "fabrication/test_findings.py",
-        "fabrication/test_parts.py",
-    ),
-    "quick_study": ("torture/test_crash_points.py", "torture/test_full_disk.py"),
-    "study": (
-        "commands/test_app.py",
-        "commands/test_by_name.py",
-        "commands/test_compare.py",
-        "commands/test_compare_run.py",
-        "commands/test_doctor.py",
-        "commands/test_exit_codes.py",
-        "commands/test_gc.py",
-        "commands/test_recompute.py",
-        "commands/test_score.py",
-        "commands/test_status.py",
-        "commands/test_time_model.py",
-        "commands/test_verify.py",
-        "results/test_export_folder.py",
-        "results/test_notebook.py",
-        "results/test_recorded_study.py",
-        "results/test_results_file.py",
-        "stages/test_analyse.py",
-        "stages/test_pontoon.py",
-        "stages/test_report.py",
-        "stages/test_stages.py",
-    ),
-    "drawn": ("report/test_browser.py", "report/test_figures.py", "report/test_page.py"),
-}
-"""Files that one process runs, by an expensive fixture that they share."""
-
-LONGEST_FIRST = (
-    *TOGETHER["local_ray"],
-    *TOGETHER["quick_study"],
-    "torture/test_processes.py",
-    *TOGETHER["study"],
-    "mlflow/test_pages.py",
-    "torture/test_kills.py",
-    "parity/test_equals_pybox2d.py",
-    "fabrication/test_fabricate.py",
-    "architecture/test_changes.py",
-    *TOGETHER["kit"],
-    "commands/test_compare_run.py",
-    "tracks/test_residuals.py",
-    *TOGETHER["drawn"],
-    "mlflow/test_mirror.py",
-    "architecture/test_wheel.py",
-    "mlflow/test_server.py",
-    "simulation/test_batch.py",
-    "pipeline/test_kernels.py",
-    "fabrication/test_servos.py",
-    "report/test_films.py",
-)
-"""The slowest files run first, so that no process is left with one of them at the end."""
+EXPENSIVE = ("local_ray", "kit", "tiny", "drawn", "study", "done")
+"""Fixtures of a session that take seconds to make. One process of pytest-xdist runs the tests of each."""
 
 
 def write_to_memory() -> None:
@@ -199,34 +138,29 @@ def pytest_configure() -> None:
 
 @pytest.fixture
 def torture(request: pytest.FixtureRequest) -> Torture:
-    return Torture(request.config, request.node.nodeid)
+    return Torture(request.config, request.node.nodeid.partition("@")[0])  # pytest-xdist adds a group
 
 
 # -- the order of tests ----------------------------------------------------------------------------------------------
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Give files that share an expensive fixture to one process of pytest-xdist, and every other file to any."""
-    from xdist.scheduler import LoadFileScheduling
-
-    class ByFixture(LoadFileScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            file = super()._split_scope(nodeid)
-            return next((fixture for fixture, files in TOGETHER.items() if file.endswith(files)), file)
-
-    return ByFixture(config, log) if config.getoption("dist") == "loadfile" else None
 
 
 def pytest_collection_finish() -> None:
     gc.freeze()  # modules and tests stay: a collection need not look at a million objects each time
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    order = {file: number for number, file in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: order.get("/".join(item.path.parts[-2:]), len(order)))
-    for item in items if config.getoption("--torture") else ():
-        item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 600))
+    """Give tests that share an expensive fixture, or else a file, to one process; the slowest first, so that no process
+    is left with one of them at the end."""
+
+    def shared(item: pytest.Item) -> str | None:
+        return next((fixture for fixture in EXPENSIVE if fixture in item.fixturenames), None)  # type: ignore[attr-defined]
+
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(shared(item) or item.path.stem))
+        if config.getoption("--torture"):
+            item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 600))
+    items.sort(key=lambda item: not (shared(item) or item.get_closest_marker("slow")))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -20,6 +20,8 @@ import pytest
 import puddle
 from tasks.simulation.mjcf import mjcf
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 
 STUDY = """

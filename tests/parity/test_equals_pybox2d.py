@@ -37,7 +37,10 @@ OTHER_PHYSICS: dict[str, dict[str, Any]] = {
 N_DESIGNS = 9
 """Designs of each case, drawn anew in each run."""
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="slow in Python; test_batch.py has a short one")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(numba.config.DISABLE_JIT, reason="slow in Python; test_batch.py has a short one"),
+]
 
 
 @pytest.fixture(params=ENGINES.values(), ids=ENGINES)

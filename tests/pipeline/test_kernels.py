@@ -20,7 +20,7 @@ from tasks.world.flowing_slush import FlowingSlush
 
 ROOT = Path(__file__).parents[2]
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="there is no compiler")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(numba.config.DISABLE_JIT, reason="there is no compiler")]
 
 DESIGNS = "import sys, numpy, puddle; puddle.random_designs(int(sys.argv[1]), numpy.random.default_rng(1))"
 

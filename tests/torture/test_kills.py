@@ -24,6 +24,8 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 VICTIMS = ["driver", "worker", "raylet", "worker", "worker", "gcs_server"]
 """Processes to kill, in turn; `make test` stops at the driver. A worker is replaced by another; the death of any other
 ends the run."""

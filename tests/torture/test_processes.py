@@ -21,6 +21,8 @@ from small_study import ON_REFERENCE, TINY
 
 from pipeline.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 
 ENDLESS = ("--set", "evolution.n_generations=1000000", "--set", "grid.environments=[dry_land]")

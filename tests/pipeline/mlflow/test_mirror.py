@@ -27,6 +27,8 @@ from pipeline.mlflow.run import CurvePart, CurvePoints, Run
 from pipeline.mlflow.server import show_ui
 from pipeline.workflow.study_mirror import _thinned
 
+pytestmark = pytest.mark.slow
+
 STUDY = Run("smoke", "5" * 64, params={"evolution": {"n_generations": 1500}}, tags={"preset": "smoke"})
 STAGE = Run(
     "evolve",

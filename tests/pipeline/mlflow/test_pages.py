@@ -32,6 +32,8 @@ from pipeline.store.store import Store
 from pipeline.workflow import study_mirror
 from pipeline.workflow.driver import drive
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def only_our_server(monkeypatch) -> Iterator[None]:

@@ -19,6 +19,8 @@ from small_study import ON_DRY_LAND
 
 from pipeline.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 COMPOSE = Path(__file__).parents[3] / "docker" / "compose.yaml"
 
 

@@ -25,6 +25,8 @@ from pipeline.report.films import (
 from pipeline.report.palette import LOOKS
 from pipeline.report.replay import FILM_FPS, link_corners
 
+pytestmark = pytest.mark.slow
+
 
 def count(picture, color, tolerance=0):
     """Count the pixels of a colour."""

@@ -26,7 +26,8 @@ GOLDEN = {
     "two, body": "763bc5d878e85b86",
     "apart": "54b817f4247716a9",
 }
-"""A study begun with other bits can't be resumed or repeated. If these change, so does VERSION in stages/evolve.py."""
+"""A study begun with other bits can't be resumed or repeated. If these change, so does the version of EVOLVE
+in stages/evolve.py."""
 
 
 def evolved(kind: str, n_generations: int) -> str:

@@ -12,6 +12,8 @@ from tasks.simulation import DIVERGED, OK, batch, simulate
 from tasks.simulation.trees import step
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
 
+pytestmark = pytest.mark.slow
+
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
 TREES, BODIES = Physics(), Physics(passive_joints="locked", link_collisions=True)
 N_DESIGNS = 45  # no multiple of any number of lanes but 1, nor of a team of rigid bodies

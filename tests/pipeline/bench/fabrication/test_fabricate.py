@@ -21,6 +21,8 @@ from pipeline.store.design_file import design_json, load_design
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import Designs
 
+pytestmark = pytest.mark.slow
+
 BUILDABLE = Path(__file__).parents[4] / "docs/design-buildable.json"
 
 

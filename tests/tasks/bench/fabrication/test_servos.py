@@ -10,6 +10,8 @@ from tasks.bench.fabrication.parts import Gauge, gauges_of
 from tasks.bench.fabrication.servo_joints import servo_joints_of
 from tasks.bench.fabrication.servos import SERVOS, ServoError, as_measured
 
+pytestmark = pytest.mark.slow
+
 EVERY_HORN = [(servo.name, horn.kind) for servo in SERVOS.values() for horn in servo.horns]
 
 

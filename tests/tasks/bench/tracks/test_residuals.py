@@ -12,6 +12,8 @@ from tasks.residual import observe_states
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Physics, Slush
 
+pytestmark = pytest.mark.slow
+
 PLAIN = Tracks(file="tracks.csv", fit="steps")
 PHYSICS = Physics()
 
