@@ -151,7 +151,7 @@ def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
     if settings.work.engine != "batch" or environment not in ENVIRONMENTS:
         return 0.0  # where the slush is in NumPy, too; or the medium's code is not here
     home = environment_of(media_of(settings, environment), environment, 0.0)
-    if all(medium is None or is_compiled(medium) for medium in (component.medium for component in home.components)):
+    if home.medium is None or is_compiled(home.medium):
         return 0.0
     n_batched = min(batch_size(settings, environment), settings.grid.n_trials)
     return _CALL_OF_MEDIUM / (settings.evolution.optimiser.population_size * n_batched) + _ROBOT_IN_MEDIUM

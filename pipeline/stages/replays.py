@@ -160,7 +160,7 @@ def replay_in(
     doubts = None
     if ensemble is not None and ensemble.n_members > 1:
         doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
-    other: Surroundings = "air" if environment.components[0].medium is None else "medium"
+    other: Surroundings = "air" if environment.medium is None else "medium"
     replay = replay_of(
         design,
         trace[0],

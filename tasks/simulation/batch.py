@@ -9,13 +9,13 @@ import numpy as np
 
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simd.lanes import widest
-from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
+from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion, Scene
 from tasks.simulation.controller import fastest
 from tasks.simulation.fluids import is_compiled
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.trees.groups import Groups
-from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
+from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE
 from tasks.world import Environment, Physics
 
 

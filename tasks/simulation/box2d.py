@@ -1,6 +1,7 @@
 """Box2D 2.3's constants (b2Settings.h), and what both engines share: the ground, a state's columns, the motion."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,23 @@ MAX_ROTATION = np.float32(0.5) * np.float32(3.14159265359)  # b2_maxRotation [ra
 MAX_ROTATION_SQUARED = MAX_ROTATION * MAX_ROTATION
 LINEAR_SLOP_SQUARED = np.float32(2.5000001e-05)
 """Largest float32 whose square root, in float32, is at most the slop [m²]; it spares a kernel the root."""
+
+
+class Scene(NamedTuple):
+    """Constants that all robots of a call share, rounded once to float32."""
+
+    dt: np.float32  # [s]
+    dt_ratio: np.float32  # box2D's dtRatio of a constant time step: 1, up to rounding
+    fall: np.float32  # gain of vy by gravity in a step [m/s]
+    ground: np.float32  # height of the ground's top [m]
+    friction: np.float32
+    restitution: np.float32
+    motor_gain: np.float32  # [1/s]
+    max_motor_speed: np.float32  # [rad/s]; infinite without a limit
+    velocity_iterations: int
+    position_iterations: int
+    n_links: int  # always 6, but known at run time only: otherwise loops are unrolled and outgrow the instruction cache
+    motor_work: bool = False  # whether to add up the work of the motors
 
 
 @formula

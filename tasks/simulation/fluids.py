@@ -14,8 +14,9 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from numba.core.errors import NumbaError
 
+from tasks.arrays import Int64
 from tasks.compiled import compiled, entry, inline
-from tasks.simd.lanes import Block
+from tasks.simd.lanes import Block, from_row
 from tasks.world.medium import Fluid, LinkStates, Medium, MediumError, change_in
 from tasks.world.physics import Physics
 
@@ -42,7 +43,14 @@ class Push(NamedTuple):
     """A fluid as the kernel of an engine takes it."""
 
     address: Any  # of the fluid's own kernel; 0 for none
-    factors: Block  # what its law needs, a row each
+    factors: Block  # what its law needs, a row each, group after group of robots if it differs between them
+    stride: int = 0  # rows from a group's factors to the next one's
+
+
+@inline
+def of_group(fluid: Push, group: int) -> Push:
+    """Return a fluid as a group of robots and those after it take it."""
+    return Push(fluid.address, from_row(fluid.factors, group * fluid.stride), fluid.stride)
 
 
 class Rows(NamedTuple):
@@ -80,8 +88,10 @@ def is_compiled(medium: Medium | None) -> TypeGuard[Fluid]:
     return isinstance(medium, Fluid) and type(medium).velocity_change is Fluid.velocity_change
 
 
-def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block) -> Push:
+def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block, member: Int64) -> Push:
     """Return a medium's kernel for an engine, compiled for blocks such as the given one; none if it has no law.
+
+    ``member`` are the (n_groups, n_lanes) ensemble members of the robots.
 
     Raises:
         MediumError: the law does not compile.
@@ -89,10 +99,14 @@ def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block) -
     if not is_compiled(medium):
         return Push(0, Block(1, block.n_lanes))
     factors = medium.factors(physics)
-    of_lanes = Block(max(len(factors), 1), block.n_lanes)
-    of_lanes.rows[: len(factors)] = np.array(factors, dtype=np.float32)[:, None]
+    differ = any(np.ndim(factor) for factor in factors)
+    groups = member if differ else member[:1]
+    of_lanes = Block(len(groups) * len(factors) + 1, block.n_lanes)
+    for number, factor in enumerate(factors):
+        of_lanes.rows[number : -1 : len(factors)] = np.asarray(factor)[groups] if np.ndim(factor) else factor
     try:
-        return Push(entry(_kernel(medium.law, rows), block, of_lanes, 1), of_lanes)
+        address = entry(_kernel(medium.law, rows), block, of_lanes, 1)
+        return Push(address, of_lanes, len(factors) if differ else 0)
     except NumbaError as error:
         change_in(medium, LinkStates(*np.ones((9, 1), np.float32)), physics)  # says what is wrong, if arrays fail, too
         named = re.search(r'File "(.*?)", line (\d+)', str(error))

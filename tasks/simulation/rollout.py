@@ -4,9 +4,8 @@ Paper, "Performance Evaluation": a robot settles for a while, then the displacem
 from the first step.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -92,26 +91,12 @@ def simulate(
             raise ValueError(f"{name} is {value!r}, expected at least {least}, a whole number")
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
-    motions = [
-        ENGINES[engine](
-            designs, component, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work
-        )
-        for component in environment.components
-    ]
+    motion = ENGINES[engine](
+        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work
+    )
     second_half_seconds = (n_measure - n_measure // 2) * physics.time_step
-    found = _measure(_stacked(motions), second_half_seconds, squeeze=not environment.is_ensemble)
+    found = _measure(motion, second_half_seconds, squeeze=not environment.is_ensemble)
     return replace(found, n_settle=n_settle)
-
-
-def _stacked(motions: Sequence[Motion]) -> Motion:
-    """Join the motions of several members along their first axis."""
-    if len(motions) == 1:
-        return motions[0]
-    arrays: dict[str, Any] = {}
-    for field in fields(Motion):
-        each = [getattr(motion, field.name) for motion in motions]
-        arrays[field.name] = None if each[0] is None else np.concatenate(each)
-    return Motion(**arrays)
 
 
 def _measure(motion: Motion, second_half_seconds: float, *, squeeze: bool) -> Rollouts:

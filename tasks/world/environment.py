@@ -31,12 +31,7 @@ class Environment:
     @property
     def n_members(self) -> int:
         """Number of ensemble members, 1 without an ensemble."""
-        return 1
-
-    @property
-    def components(self) -> tuple[Environment, ...]:
-        """Environments that are simulated one after another: the members' own, or only itself."""
-        return (self,)
+        return getattr(self.medium, "n_members", 1) if self.is_ensemble else 1
 
 
 @dataclass(frozen=True)

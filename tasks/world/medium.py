@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tasks.arrays import ArrayData, Floats
+from tasks.arrays import ArrayData, Float64, Floats
 from tasks.discovery import located
 from tasks.parameters import Parameters
 from tasks.world.physics import Physics
@@ -84,12 +84,13 @@ class Fluid(Parameters):
         """Return the changes of vx, vy [m/s] and ω [rad/s] in a step, by the factors and links."""
 
     @abstractmethod
-    def factors(self, physics: Physics) -> tuple[float, ...]:
-        """Return what the law needs of the fields and the physics."""
+    def factors(self, physics: Physics) -> tuple[float | Float64, ...]:
+        """Return what the law needs of the fields and the physics: numbers, or (n_members,) arrays of an ensemble."""
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Return the change over one step by the law."""
-        return VelocityChange(*self.law(self.factors(physics), links))
+        factors = (np.asarray(factor, links.y.dtype) for factor in self.factors(physics))
+        return VelocityChange(*self.law([of[:, None, None] if of.ndim else of for of in factors], links))
 
 
 class EnsembleMedium(Medium, Protocol):

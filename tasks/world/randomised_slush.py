@@ -11,19 +11,20 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from tasks.arrays import Float64
 from tasks.seeding import generator
 from tasks.world.environment import Environment
-from tasks.world.medium import EnsembleMedium, LinkStates, VelocityChange
+from tasks.world.medium import EnsembleMedium, Fluid
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
-from tasks.world.slush import DragLaw, Slush, TrueSlush
+from tasks.world.slush import DragLaw, Slush
 
 _DIGITS = 6  # significant digits of a parameter, so that members are the same wherever logarithms round differently
 
 _Bound = Annotated[float, Field(gt=0.0, le=1e4)]
 
 
-class RandomisedSlushes(DragLaw):
+class RandomisedSlushes(DragLaw, Fluid):
     """Slushes with random parameters, the same ones in every trial of a study, as the members of an ensemble are.
 
     The ranges are those of a designer who knows the kind of fluid and not its parameters. None is fitted to throws, and
@@ -73,15 +74,11 @@ class RandomisedSlushes(DragLaw):
         parameters = dict(zip(("density", "linear_drag", "angular_drag"), drawn, strict=True))
         return Slush(drag=self.drag, **parameters)
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Compute the change over one step; member k pushes entry k of the links' first axis."""
-        changes = [
-            slush.velocity_change(LinkStates(**{name: array[k] for name, array in vars(links).items()}), physics)
-            for k, slush in enumerate(self.slushes())
-        ]
-        return VelocityChange(
-            *(np.stack([getattr(change, name) for change in changes]) for name in ("vx", "vy", "omega"))
-        )
+    def factors(self, physics: Physics) -> tuple[Float64, ...]:
+        """Return the factors of every slush."""
+        return tuple(map(np.array, zip(*(slush.factors(physics) for slush in self.slushes()), strict=True)))
+
+    law = staticmethod(Slush.law)
 
 
 @dataclass(frozen=True)
@@ -96,16 +93,6 @@ class RandomisedSlush(Environment):
     def medium(self) -> EnsembleMedium:
         """All members."""
         return self.random
-
-    @property
-    def n_members(self) -> int:
-        """Number of slushes."""
-        return self.random.n_members
-
-    @property
-    def components(self) -> tuple[Environment, ...]:
-        """An environment for each slush, which the batch engine's kernels compute themselves."""
-        return tuple(TrueSlush(self.depth, slush) for slush in self.random.slushes())
 
 
 register(

@@ -25,11 +25,6 @@ class ResidualSlush(Environment):
         """Ensemble."""
         return self.ensemble
 
-    @property
-    def n_members(self) -> int:
-        """Number of ensemble members."""
-        return self.ensemble.n_members
-
 
 @dataclass(frozen=True)
 class MeanResidual(Environment):

@@ -7,6 +7,7 @@ from tasks.compiled import compiled
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simd.lanes import Block, as_block
+from tasks.simulation.box2d import Scene
 from tasks.simulation.fluids import Push, Rows, push_of
 from tasks.simulation.fused_links import body_change
 from tasks.simulation.networks import coupled
@@ -16,7 +17,6 @@ from tasks.simulation.rigid_bodies import step
 from tasks.simulation.rigid_bodies.layout import ROBOT, Records
 from tasks.simulation.rigid_bodies.packing import body_index, pack
 from tasks.simulation.trees.layout import QUANTITIES
-from tasks.simulation.trees.step import Scene
 from tasks.world.medium import LinkStates, Medium, change_in
 from tasks.world.physics import Physics
 
@@ -67,7 +67,8 @@ class Robots:
         self.records = np.tile(pack(designs, trees, self._rigid, depth, physics), n_members)
         self.n_robots = len(self.records)
         self._numbers = as_block(self.records.view(np.float32).reshape(-1, 1))
-        self._fluid = push_of(medium, physics, _OF_LINKS, self._numbers)
+        member = np.repeat(np.arange(n_members), len(designs))[:, None]
+        self._fluid = push_of(medium, physics, _OF_LINKS, self._numbers, member)
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states; NaN where diverged."""

@@ -13,11 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from tasks.compiled import inline
-from tasks.simulation.box2d import LEAST_SEPARATION, limited
+from tasks.simulation.box2d import LEAST_SEPARATION, Scene, limited
 from tasks.simulation.rigid_bodies import contact_solver, revolute_joint
 from tasks.simulation.rigid_bodies.layout import GROUND, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, synchronize_transform
-from tasks.simulation.trees.step import Scene
 
 
 @inline

@@ -6,11 +6,10 @@ The constraints, their Jacobians and K are those of tasks/simulation/trees/joint
 from numpy import float32
 
 from tasks.compiled import inline
-from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
+from tasks.simulation.box2d import LINEAR_SLOP_SQUARED, Scene
 from tasks.simulation.rigid_bodies.layout import JointRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, rotate
 from tasks.simulation.trees.joint import clamp
-from tasks.simulation.trees.step import Scene
 
 _ZERO, _ONE = float32(0), float32(1)
 

@@ -11,13 +11,13 @@ from tasks.arrays import Float32
 from tasks.compiled import inline
 from tasks.simd.lanes import Block, call, from_row
 from tasks.simd.rotation import scalar_sincos
+from tasks.simulation.box2d import Scene
 from tasks.simulation.controller import motor_speed, target_angle
-from tasks.simulation.fluids import Push
+from tasks.simulation.fluids import Push, of_group
 from tasks.simulation.fused_links import placed, turned
 from tasks.simulation.rigid_bodies import broad_phase, island, revolute_joint
 from tasks.simulation.rigid_bodies.layout import ROBOT, RobotRecord
 from tasks.simulation.rigid_bodies.transform import transform
-from tasks.simulation.trees.step import Scene
 
 N_ROWS = ROBOT.itemsize // 4  # numbers of a record, of four bytes each
 TEAM = 4  # robots that take a step together (see island.py): their records fit the L1 cache
@@ -122,7 +122,7 @@ def _take_step(team: Sequence[RobotRecord], numbers: Block, scene: Scene, fluid:
     for r in range(len(team)):
         robot = team[r]
         if robot.divergence == 0.0:
-            _begin_step(robot, from_row(numbers, r * N_ROWS), scene, fluid, step)
+            _begin_step(robot, from_row(numbers, r * N_ROWS), scene, of_group(fluid, r), step)
         else:
             robot.n_island_contacts, robot.n_island_joints = 0, 0
     island.sweep_velocities(team, scene)
@@ -177,7 +177,7 @@ def advance_robots(
             for r in range(len(team)):
                 _spawn(team[r], scene)
         for step in range(first_step, end_step):
-            _take_step(team, from_row(numbers, first * N_ROWS), scene, fluid, step)
+            _take_step(team, from_row(numbers, first * N_ROWS), scene, of_group(fluid, first), step)
             if trace.size > 0:
                 for r in range(len(team)):
                     _record_states(team[r], trace[first + r, step - first_step])

@@ -30,26 +30,30 @@ Position correction of a point, by β of the error and as a Newton step with the
 
 import tasks.simulation.box2d as box2d
 from tasks.compiled import inline
-from tasks.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, any_lane, select
+from tasks.design.genes import N_LINKS
+from tasks.simd.lanes import Block, Lanes, Mask, Uniform, any_lane, select
 from tasks.simd.rotation import sincos
+from tasks.simulation.box2d import Scene
 from tasks.simulation.trees import layout as at
 from tasks.simulation.trees.joint import clamp
+
+Vector = tuple[Lanes, Lanes]
 
 NO_VERTEX = -1.0
 _CLEARLY_APART = 0.1  # estimated gap [m] beyond which there is no contact; far more than the estimate's rounding
 
 
 @inline
-def collide(block: Block, link: int, ground: Uniform) -> bool:
+def collide(block: Block, link: int, scene: Scene) -> bool:
     """Return whether a link touches the ground in any lane: b2CollidePolygons and b2Contact::Update."""
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     hx, hy = block[at.HALF_WIDTH + link], block[at.HALF_HEIGHT + link]
-    old_vertex_1, old_vertex_2 = block[at.VERTEX_1 + link], block[at.VERTEX_2 + link]
+    first, second, ground = link, link + N_LINKS, scene.ground
+    old_vertex_1, old_vertex_2 = block[at.VERTEX + first], block[at.VERTEX + second]
     if not any_lane(y - abs(s) * hx - abs(c) * hy - ground < _CLEARLY_APART):
         if any_lane(old_vertex_1 != NO_VERTEX):
-            block[at.VERTEX_1 + link], block[at.VERTEX_2 + link] = NO_VERTEX, NO_VERTEX
-            block[at.NORMAL_1 + link], block[at.TANGENT_1 + link] = 0.0, 0.0
-            block[at.NORMAL_2 + link], block[at.TANGENT_2 + link] = 0.0, 0.0
+            for point in (first, second):
+                block[at.VERTEX + point], block[at.NORMAL + point], block[at.TANGENT + point] = NO_VERTEX, 0.0, 0.0
         return False
 
     # b2FindIncidentEdge: the first of the normals (0, -1), (1, 0), (0, 1), (-1, 0) that points down most.
@@ -79,28 +83,26 @@ def collide(block: Block, link: int, ground: Uniform) -> bool:
     # b2MulT(xf, p): back to the link's frame, with its rounding. A second point that touches alone becomes the first.
     p1_x, p1_y = select(touches_1, p1_x, p2_x) - x, select(touches_1, p1_y, p2_y) - y
     p2_x, p2_y = p2_x - x, p2_y - y
-    block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link] = c * p1_x + s * p1_y, -s * p1_x + c * p1_y
-    block[at.LOCAL_X_2 + link], block[at.LOCAL_Y_2 + link] = c * p2_x + s * p2_y, -s * p2_x + c * p2_y
+    block[at.LOCAL_X + first], block[at.LOCAL_Y + first] = c * p1_x + s * p1_y, -s * p1_x + c * p1_y
+    block[at.LOCAL_X + second], block[at.LOCAL_Y + second] = c * p2_x + s * p2_y, -s * p2_x + c * p2_y
 
     # b2Contact::Update: a vertex that touched before keeps its impulses. Without a point they are zero.
     vertex_1 = select(touches_1, vertex_1, select(touches_2, vertex_2, NO_VERTEX))
     vertex_2 = select(both, vertex_2, NO_VERTEX)
-    normal_1, normal_2 = block[at.NORMAL_1 + link], block[at.NORMAL_2 + link]
-    tangent_1, tangent_2 = block[at.TANGENT_1 + link], block[at.TANGENT_2 + link]
-    is_old_1, is_old_2 = vertex_1 == old_vertex_1, vertex_1 == old_vertex_2
-    block[at.NORMAL_1 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
-    block[at.TANGENT_1 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
-    is_old_1, is_old_2 = vertex_2 == old_vertex_1, vertex_2 == old_vertex_2
-    block[at.NORMAL_2 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
-    block[at.TANGENT_2 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
-    block[at.VERTEX_1 + link], block[at.VERTEX_2 + link] = vertex_1, vertex_2
+    for impulse in (at.NORMAL, at.TANGENT):
+        old_1, old_2 = block[impulse + first], block[impulse + second]
+        for point, vertex in ((first, vertex_1), (second, vertex_2)):
+            old = select(vertex == old_vertex_1, old_1, select(vertex == old_vertex_2, old_2, 0.0))
+            block[impulse + point] = old
+    block[at.VERTEX + first], block[at.VERTEX + second] = vertex_1, vertex_2
     return any_lane(vertex_1 != NO_VERTEX)
 
 
 @inline
-def _lever(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: Uniform) -> tuple[Lanes, Lanes]:
+def _lever(block: Block, link: int, point: int, ground: Uniform) -> Vector:
     """b2WorldManifold::Initialize: r of a point midway between the surfaces of both skins."""
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
+    local_x, local_y = block[at.LOCAL_X + point], block[at.LOCAL_Y + point]
     clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
     on_ground = clip_y + (box2d.POLYGON_RADIUS - (clip_y - ground))
     on_link = clip_y - box2d.POLYGON_RADIUS
@@ -108,13 +110,7 @@ def _lever(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: Unif
 
 
 @inline
-def _bounce(v_rel: Lanes, restitution: Uniform) -> Numeric:
-    """b2VelocityConstraintPoint's velocityBias."""
-    return select(v_rel < -box2d.VELOCITY_THRESHOLD, -(restitution * v_rel), 0.0)
-
-
-@inline
-def init_velocity_constraint(block: Block, link: int, ground: Uniform, restitution: Uniform, dt_ratio: Uniform) -> bool:
+def init_velocity_constraint(block: Block, link: int, scene: Scene) -> bool:
     """b2ContactSolver's InitializeVelocityConstraints and WarmStart.
 
     Most links that touch stand on one point: the second costs time only where a lane has it.
@@ -122,108 +118,104 @@ def init_velocity_constraint(block: Block, link: int, ground: Uniform, restituti
     Returns:
         Whether any lane has a block of two points.
     """
+    first, second = link, link + N_LINKS
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
-    vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
-    touches = block[at.VERTEX_1 + link] != NO_VERTEX
-    r_x, r_y = _lever(block, link, block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link], ground)
-    k = mB + iB * r_x * r_x
-    block[at.R_X_1 + link], block[at.R_Y_1 + link] = r_x, r_y
-    block[at.NORMAL_MASS_1 + link] = select(touches, 1.0 / k, 0.0)
-    block[at.TANGENT_MASS_1 + link] = select(touches, 1.0 / (mB + iB * r_y * r_y), 0.0)
-    block[at.BIAS_1 + link] = _bounce(vy + w * r_x, restitution)
-    normal, tangent = dt_ratio * block[at.NORMAL_1 + link], dt_ratio * block[at.TANGENT_1 + link]
-    block[at.NORMAL_1 + link], block[at.TANGENT_1 + link] = normal, tangent
-    block[at.VX + link], block[at.VY + link] = vx + mB * tangent, vy + mB * normal
-    block[at.OMEGA + link] = w + iB * (r_x * normal - r_y * tangent)
+    vy, w = block[at.VY + link], block[at.OMEGA + link]
+    r1_x, r1_y = _lever(block, link, first, scene.ground)
+    _start_point(block, link, first, (r1_x, r1_y), block[at.VERTEX + first] != NO_VERTEX, (vy, w), scene)
+    both = block[at.VERTEX + second] != NO_VERTEX
+    if not any_lane(both):
+        return False
 
-    if any_lane(block[at.VERTEX_2 + link] != NO_VERTEX):
-        return _init_second_point(block, link, ground, restitution, dt_ratio, k, vy, w)
-    return False
-
-
-@inline
-def _init_second_point(
-    block: Block, link: int, ground: Uniform, restitution: Uniform, dt_ratio: Uniform, k11: Lanes, vy: Lanes, w: Lanes
-) -> bool:
-    """Initialize and warm-start point 2 and the block; vy and w are the velocities before any warm start."""
-    mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
-    r1_x = block[at.R_X_1 + link]
-    r_x, r_y = _lever(block, link, block[at.LOCAL_X_2 + link], block[at.LOCAL_Y_2 + link], ground)
-    k22 = mB + iB * r_x * r_x
-    k12 = mB + iB * r1_x * r_x
+    r2_x, r2_y = _lever(block, link, second, scene.ground)
+    k11, k12, k22 = mB + iB * r1_x * r1_x, mB + iB * r1_x * r2_x, mB + iB * r2_x * r2_x
     det = k11 * k22 - k12 * k12
-    in_block = (block[at.VERTEX_2 + link] != NO_VERTEX) & (k11 * k11 < box2d.MAX_CONDITION_NUMBER * det)
     block[at.K_11 + link], block[at.K_12 + link], block[at.K_22 + link] = k11, k12, k22
     block[at.K_INVERSE_DETERMINANT + link] = select(det != 0.0, 1.0 / det, det)
-    block[at.R_X_2 + link], block[at.R_Y_2 + link] = r_x, r_y
-    block[at.NORMAL_MASS_2 + link] = select(in_block, 1.0 / k22, 0.0)
-    block[at.TANGENT_MASS_2 + link] = select(in_block, 1.0 / (mB + iB * r_y * r_y), 0.0)
-    block[at.BIAS_2 + link] = _bounce(vy + w * r_x, restitution)
-
-    # An ill-conditioned block leaves out point 2, whose impulses stay for the next step.
-    old_normal, old_tangent = block[at.NORMAL_2 + link], block[at.TANGENT_2 + link]
-    normal, tangent = dt_ratio * old_normal, dt_ratio * old_tangent
-    block[at.NORMAL_2 + link] = select(in_block, normal, old_normal)
-    block[at.TANGENT_2 + link] = select(in_block, tangent, old_tangent)
-    normal, tangent = select(in_block, normal, 0.0), select(in_block, tangent, 0.0)
-    block[at.VX + link] = block[at.VX + link] + mB * tangent
-    block[at.VY + link] = block[at.VY + link] + mB * normal
-    block[at.OMEGA + link] = block[at.OMEGA + link] + iB * (r_x * normal - r_y * tangent)
+    in_block = both & (k11 * k11 < box2d.MAX_CONDITION_NUMBER * det)
+    _start_point(block, link, second, (r2_x, r2_y), in_block, (vy, w), scene)
     return any_lane(in_block)
 
 
 @inline
-def solve_point(block: Block, link: int, friction: Uniform) -> None:
+def _start_point(block: Block, link: int, point: int, r: Vector, solved: Mask, before: Vector, scene: Scene) -> None:
+    """Initialize and warm-start a point in the lanes ``solved``; ``before`` are vy and ω before any warm start.
+
+    An ill-conditioned block leaves out the second point, whose impulses stay for the next step.
+    """
+    mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
+    (r_x, r_y), (vy, w), dt_ratio = r, before, scene.dt_ratio
+    block[at.R_X + point], block[at.R_Y + point] = r_x, r_y
+    block[at.NORMAL_MASS + point] = select(solved, 1.0 / (mB + iB * r_x * r_x), 0.0)
+    block[at.TANGENT_MASS + point] = select(solved, 1.0 / (mB + iB * r_y * r_y), 0.0)
+    v_rel = vy + w * r_x
+    block[at.BIAS + point] = select(v_rel < -box2d.VELOCITY_THRESHOLD, -(scene.restitution * v_rel), 0.0)
+
+    normal, tangent = block[at.NORMAL + point], block[at.TANGENT + point]
+    block[at.NORMAL + point] = select(solved, dt_ratio * normal, normal)
+    block[at.TANGENT + point] = select(solved, dt_ratio * tangent, tangent)
+    normal, tangent = select(solved, dt_ratio * normal, 0.0), select(solved, dt_ratio * tangent, 0.0)
+    block[at.VX + link] = block[at.VX + link] + mB * tangent
+    block[at.VY + link] = block[at.VY + link] + mB * normal
+    block[at.OMEGA + link] = block[at.OMEGA + link] + iB * (r_x * normal - r_y * tangent)
+
+
+@inline
+def _friction(block: Block, point: int, vx: Lanes, w: Lanes, friction: Uniform) -> tuple[Lanes, Lanes]:
+    """Return a point's accumulated tangential impulse before and after it resists sliding."""
+    old, most = block[at.TANGENT + point], friction * block[at.NORMAL + point]
+    new = clamp(old - block[at.TANGENT_MASS + point] * (vx - w * block[at.R_Y + point]), -most, most)
+    return old, new
+
+
+@inline
+def solve_point(block: Block, link: int, scene: Scene) -> None:
     """b2ContactSolver::SolveVelocityConstraints of single points: friction, then the normal.
 
     The impulses stay in the block until the next step, which makes StoreImpulses superfluous.
     """
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
-    r_x, r_y = block[at.R_X_1 + link], block[at.R_Y_1 + link]
-    normal, tangent = block[at.NORMAL_1 + link], block[at.TANGENT_1 + link]
+    r_x, r_y = block[at.R_X + link], block[at.R_Y + link]
 
-    max_friction = friction * normal
-    new = clamp(tangent - block[at.TANGENT_MASS_1 + link] * (vx - w * r_y), -max_friction, max_friction)
-    block[at.TANGENT_1 + link] = new
-    block[at.VX + link] = vx + mB * (new - tangent)
-    w = w - iB * (r_y * (new - tangent))
+    old, new = _friction(block, link, vx, w, scene.friction)
+    block[at.TANGENT + link] = new
+    block[at.VX + link] = vx + mB * (new - old)
+    w = w - iB * (r_y * (new - old))
 
-    new = normal - block[at.NORMAL_MASS_1 + link] * (vy + w * r_x - block[at.BIAS_1 + link])
+    old = block[at.NORMAL + link]
+    new = old - block[at.NORMAL_MASS + link] * (vy + w * r_x - block[at.BIAS + link])
     new = select(new > 0.0, new, 0.0)
-    block[at.NORMAL_1 + link] = new
-    block[at.VY + link] = vy + mB * (new - normal)
-    block[at.OMEGA + link] = w + iB * (r_x * (new - normal))
+    block[at.NORMAL + link] = new
+    block[at.VY + link] = vy + mB * (new - old)
+    block[at.OMEGA + link] = w + iB * (r_x * (new - old))
 
 
 @inline
-def solve_both_points(block: Block, link: int, friction: Uniform) -> None:
+def solve_both_points(block: Block, link: int, scene: Scene) -> None:
     """b2ContactSolver::SolveVelocityConstraints where a lane has two points: friction, then the block of normals."""
+    first, second = link, link + N_LINKS
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
-    r1_x, r1_y = block[at.R_X_1 + link], block[at.R_Y_1 + link]
-    r2_x, r2_y = block[at.R_X_2 + link], block[at.R_Y_2 + link]
-    a1, a2 = block[at.NORMAL_1 + link], block[at.NORMAL_2 + link]
-    in_block = block[at.NORMAL_MASS_2 + link] != 0.0
+    r1_x, r2_x = block[at.R_X + first], block[at.R_X + second]
+    a1, a2 = block[at.NORMAL + first], block[at.NORMAL + second]
+    m1, m2 = block[at.NORMAL_MASS + first], block[at.NORMAL_MASS + second]
+    in_block = m2 != 0.0
 
-    max_friction = friction * a1
-    old = block[at.TANGENT_1 + link]
-    new = clamp(old - block[at.TANGENT_MASS_1 + link] * (vx - w * r1_y), -max_friction, max_friction)
-    block[at.TANGENT_1 + link] = new
+    old, new = _friction(block, first, vx, w, scene.friction)
+    block[at.TANGENT + first] = new
     vx = vx + mB * (new - old)
-    w = w - iB * (r1_y * (new - old))
+    w = w - iB * (block[at.R_Y + first] * (new - old))
 
-    max_friction = friction * a2
-    old = block[at.TANGENT_2 + link]
-    new = clamp(old - block[at.TANGENT_MASS_2 + link] * (vx - w * r2_y), -max_friction, max_friction)
+    old, new = _friction(block, second, vx, w, scene.friction)
     new = select(in_block, new, old)
-    block[at.TANGENT_2 + link] = new
+    block[at.TANGENT + second] = new
     vx = vx + mB * (new - old)
-    w = w - iB * (r2_y * (new - old))
+    w = w - iB * (block[at.R_Y + second] * (new - old))
 
-    b1 = vy + w * r1_x - block[at.BIAS_1 + link]
-    b2 = vy + w * r2_x - block[at.BIAS_2 + link]
-    alone = a1 - block[at.NORMAL_MASS_1 + link] * b1
+    b1 = vy + w * r1_x - block[at.BIAS + first]
+    b2 = vy + w * r2_x - block[at.BIAS + second]
+    alone = a1 - m1 * b1
     alone = select(alone > 0.0, alone, 0.0)
 
     # The cases: both points push (x1, x2), only one (case_2, case_3), none (case_4).
@@ -235,9 +227,8 @@ def solve_both_points(block: Block, link: int, friction: Uniform) -> None:
     x2 = -(inverse_det * k11 * b2 - inverse_det * k12 * b1)
     solved = (x1 >= 0.0) & (x2 >= 0.0)
     if any_lane(in_block & ~solved):
-        only_1 = -(block[at.NORMAL_MASS_1 + link] * b1)
+        only_1, only_2 = -(m1 * b1), -(m2 * b2)
         case_2 = (only_1 >= 0.0) & (k12 * only_1 + b2 >= 0.0)
-        only_2 = -(block[at.NORMAL_MASS_2 + link] * b2)
         case_3 = (only_2 >= 0.0) & (k12 * only_2 + b1 >= 0.0)
         case_4 = (b1 >= 0.0) & (b2 >= 0.0)
         x1 = select(solved, x1, select(case_2, only_1, select(case_3 | case_4, 0.0, a1)))
@@ -245,7 +236,7 @@ def solve_both_points(block: Block, link: int, friction: Uniform) -> None:
 
     x1 = select(in_block, x1, alone)
     x2 = select(in_block, x2, a2)
-    block[at.NORMAL_1 + link], block[at.NORMAL_2 + link] = x1, x2
+    block[at.NORMAL + first], block[at.NORMAL + second] = x1, x2
     d1, d2 = x1 - a1, x2 - a2
     block[at.VX + link] = vx
     block[at.VY + link] = vy + mB * (d1 + d2)
@@ -253,10 +244,11 @@ def solve_both_points(block: Block, link: int, friction: Uniform) -> None:
 
 
 @inline
-def _push_out(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: Uniform, pushed: Mask) -> Lanes:
+def _push_out(block: Block, link: int, point: int, ground: Uniform, pushed: Mask) -> Lanes:
     """Correct one point in the lanes ``pushed``; return its separation before."""
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
+    local_x, local_y = block[at.LOCAL_X + point], block[at.LOCAL_Y + point]
     clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
     separation: Lanes = clip_y - ground - box2d.POLYGON_RADIUS - box2d.POLYGON_RADIUS
     C = clamp(box2d.BAUMGARTE * (separation + box2d.LINEAR_SLOP), -box2d.MAX_LINEAR_CORRECTION, 0.0)
@@ -272,18 +264,16 @@ def _push_out(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: U
 
 
 @inline
-def solve_position_constraint(block: Block, link: int, ground: Uniform, unsolved: Mask) -> Mask:
+def solve_position_constraint(block: Block, link: int, scene: Scene, unsolved: Mask) -> Mask:
     """Return the lanes in which a link was not too deep before b2ContactSolver::SolvePositionConstraints.
 
     The lanes ``unsolved`` are corrected; the others stay as they are.
     """
-    touches = block[at.VERTEX_1 + link] != NO_VERTEX
-    local_x, local_y = block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link]
-    separation = _push_out(block, link, local_x, local_y, ground, unsolved & touches)
+    touches = block[at.VERTEX + link] != NO_VERTEX
+    both = block[at.VERTEX + N_LINKS + link] != NO_VERTEX
+    separation = _push_out(block, link, link, scene.ground, unsolved & touches)
     shallow: Mask = ~touches | (separation >= box2d.LEAST_SEPARATION)
-    both = block[at.VERTEX_2 + link] != NO_VERTEX
     if any_lane(both):
-        local_x, local_y = block[at.LOCAL_X_2 + link], block[at.LOCAL_Y_2 + link]
-        separation = _push_out(block, link, local_x, local_y, ground, unsolved & both)
+        separation = _push_out(block, link, link + N_LINKS, scene.ground, unsolved & both)
         shallow = shallow & (~both | (separation >= box2d.LEAST_SEPARATION))
     return shallow

@@ -8,12 +8,12 @@ from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simd.lanes import Block
+from tasks.simulation.box2d import Scene
 from tasks.simulation.fluids import Push, Rows, push_of
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.trees import layout, packing, step
-from tasks.simulation.trees.step import Scene
 from tasks.world.medium import LinkStates, Medium, change_in
 from tasks.world.physics import Physics
 
@@ -63,7 +63,8 @@ class Groups:
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
         self._no_trace = Block(1, n_lanes)
-        self._fluid = push_of(medium, physics, _ROWS, self._block)
+        member = self._robot_of_lane.reshape(self.n_groups, n_lanes) // max(len(designs), 1)
+        self._fluid = push_of(medium, physics, _ROWS, self._block, member)
         self.blocks = self._block.rows.reshape(self.n_groups, layout.N_ROWS, n_lanes)
         self._number = packing.pack(designs, physics, n_members, self.blocks)  # the engine's numbers of the links
 

@@ -26,9 +26,9 @@ Motor constraint (one equation), with the commanded speed s:
 """
 
 from tasks.compiled import inline
-from tasks.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, from_row, select
+from tasks.simd.lanes import Block, Lanes, Mask, Numeric, from_row, select
 from tasks.simd.rotation import sincos
-from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
+from tasks.simulation.box2d import LINEAR_SLOP_SQUARED, Scene
 from tasks.simulation.trees import layout as at
 
 
@@ -56,9 +56,9 @@ def to_parent(links: Block, parent: Lanes, joint: int, value: Lanes) -> None:
 
 
 @inline
-def init_velocity_constraint(block: Block, joint: int, dt_ratio: Uniform) -> None:
+def init_velocity_constraint(block: Block, joint: int, scene: Scene) -> None:
     """b2RevoluteJoint::InitVelocityConstraints: r, K, and a warm start by the impulses of the last step."""
-    child = joint + 1
+    child, dt_ratio = joint + 1, scene.dt_ratio
     parent = block[at.PARENT + joint]
     mA, iA = block[at.PARENT_INVERSE_MASS + joint], block[at.PARENT_INVERSE_INERTIA + joint]
     mB, iB = block[at.INVERSE_MASS + child], block[at.INVERSE_INERTIA + child]

@@ -12,10 +12,11 @@ from tasks.design.genes import N_JOINTS, N_LINKS
 # State, passed from one step to the next. The first six are the columns of a trace.
 X, Y, ANGLE, VX, VY, OMEGA, COS, SIN = range(0, 8 * N_LINKS, N_LINKS)
 N_TRACED = 6 * N_LINKS
-# Contact points of a link with the ground: vertex of the link (-1: none), and impulses that warm-start the point.
-VERTEX_1, VERTEX_2, NORMAL_1, NORMAL_2, TANGENT_1, TANGENT_2 = range(SIN + N_LINKS, SIN + 7 * N_LINKS, N_LINKS)
+# Two contact points of a link with the ground: vertex of the link (-1: none), and impulses that warm-start the point.
+# The rows of the links' second points follow those of their first: NORMAL + link, NORMAL + N_LINKS + link.
+VERTEX, NORMAL, TANGENT = range(SIN + N_LINKS, SIN + 7 * N_LINKS, 2 * N_LINKS)
 # Impulses that warm-start a joint.
-IMPULSE_X, IMPULSE_Y, MOTOR_IMPULSE = range(TANGENT_2 + N_LINKS, TANGENT_2 + N_LINKS + 3 * N_JOINTS, N_JOINTS)
+IMPULSE_X, IMPULSE_Y, MOTOR_IMPULSE = range(TANGENT + 2 * N_LINKS, TANGENT + 2 * N_LINKS + 3 * N_JOINTS, N_JOINTS)
 # 0, or NaN once a robot has diverged.
 DIVERGENCE = MOTOR_IMPULSE + N_JOINTS
 N_STATE = DIVERGENCE + 1
@@ -39,15 +40,11 @@ _JOINT = N_PACKED
 RA_X, RA_Y, RB_X, RB_Y, K_XX, K_XY, K_YY, K_INVERSE_DET, MOTOR_MASS, MOTOR_SPEED = range(
     _JOINT, _JOINT + 10 * N_JOINTS, N_JOINTS
 )
-# Contact points 1 and 2: position on the link, r, effective masses and bias of b2ContactSolver.
+# Contact points: position on the link, r, effective masses and bias of b2ContactSolver.
 _POINT = MOTOR_SPEED + N_JOINTS
-LOCAL_X_1, LOCAL_Y_1, LOCAL_X_2, LOCAL_Y_2, R_X_1, R_Y_1, R_X_2, R_Y_2 = range(_POINT, _POINT + 8 * N_LINKS, N_LINKS)
-_MASS = R_Y_2 + N_LINKS
-TANGENT_MASS_1, TANGENT_MASS_2, NORMAL_MASS_1, NORMAL_MASS_2, BIAS_1, BIAS_2 = range(
-    _MASS, _MASS + 6 * N_LINKS, N_LINKS
-)
-# K of the block of both points, and 1/det K. NORMAL_MASS_2 is 0 where there is no block.
-_BLOCK = BIAS_2 + N_LINKS
+LOCAL_X, LOCAL_Y, R_X, R_Y, NORMAL_MASS, TANGENT_MASS, BIAS = range(_POINT, _POINT + 14 * N_LINKS, 2 * N_LINKS)
+# K of the block of both points, and 1/det K. The second point's effective masses are 0 where there is no block.
+_BLOCK = BIAS + 2 * N_LINKS
 K_11, K_12, K_22, K_INVERSE_DETERMINANT = range(_BLOCK, _BLOCK + 4 * N_LINKS, N_LINKS)
 # Work of a joint's motor since it began to be counted [J]; a step does not touch it otherwise.
 MOTOR_WORK = K_INVERSE_DETERMINANT + N_LINKS

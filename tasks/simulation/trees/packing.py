@@ -91,7 +91,7 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
         (layout.FREQUENCY, layout.N_PACKED, controllers.frequency),
     ):
         robots[:, first:end] = rows.reshape(n_designs, end - first)
-    robots[:, layout.VERTEX_1 : layout.NORMAL_1] = NO_VERTEX
+    robots[:, layout.VERTEX : layout.NORMAL] = NO_VERTEX
     robot = np.minimum(np.arange(n_groups * n_lanes), n_members * n_designs - 1)
     of_lanes = robots[robot % max(n_designs, 1)].reshape(n_groups, n_lanes, layout.N_PACKED)
     blocks[:, : layout.N_PACKED] = of_lanes.transpose(0, 2, 1)

@@ -6,8 +6,6 @@ themselves does not matter, because no contact connects two links; that of joint
 tasks/simulation/controller.py, in the same float32 operations. Everything equals the reference engine to the last bit.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from tasks.compiled import inline
@@ -15,31 +13,14 @@ from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS
 from tasks.simd.lanes import Block, any_lane, call, from_row
 from tasks.simd.rotation import sincos
-from tasks.simulation.box2d import limited
+from tasks.simulation.box2d import Scene, limited
 from tasks.simulation.controller import motor_speed, target_angle
-from tasks.simulation.fluids import Push
+from tasks.simulation.fluids import Push, of_group
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
 from tasks.simulation.trees.joint import of_parent
 
 MAX_GROUPS_AT_ONCE = 2  # of two, what the velocity solver uses still fits a core's L1 cache
-
-
-class Scene(NamedTuple):
-    """Constants that all robots of a call share, rounded once to float32."""
-
-    dt: np.float32  # [s]
-    dt_ratio: np.float32  # box2D's dtRatio of a constant time step: 1, up to rounding
-    fall: np.float32  # gain of vy by gravity in a step [m/s]
-    ground: np.float32  # height of the ground's top [m]
-    friction: np.float32
-    restitution: np.float32
-    motor_gain: np.float32  # [1/s]
-    max_motor_speed: np.float32  # [rad/s]; infinite without a limit
-    velocity_iterations: int
-    position_iterations: int
-    n_links: int  # always 6, but known at run time only: otherwise loops are unrolled and outgrow the instruction cache
-    motor_work: bool = False  # whether to add up the work of the motors
 
 
 @inline
@@ -69,7 +50,7 @@ if N_JOINTS != 5:
 @inline
 def _start_joint(groups: Block, n_groups: int, j: int, scene: Scene) -> None:
     for k in range(n_groups):
-        joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene.dt_ratio)
+        joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene)
 
 
 @inline
@@ -102,9 +83,9 @@ def _solve_velocities(groups: Block, n_groups: int, scene: Scene, touching: int,
             for link in range(scene.n_links):
                 bit = k * scene.n_links + link
                 if on_two_points >> bit & 1:
-                    contact.solve_both_points(block, link, scene.friction)
+                    contact.solve_both_points(block, link, scene)
                 elif touching >> bit & 1:
-                    contact.solve_point(block, link, scene.friction)
+                    contact.solve_point(block, link, scene)
 
 
 @inline
@@ -115,7 +96,7 @@ def _solve_positions(block: Block, scene: Scene, touching: int) -> None:
         solved = unsolved
         for link in range(scene.n_links):
             if touching >> link & 1:
-                solved = solved & contact.solve_position_constraint(block, link, scene.ground, unsolved)
+                solved = solved & contact.solve_position_constraint(block, link, scene, unsolved)
         solved = solved & joint.solve_position_constraint(block, 0, unsolved)
         solved = solved & joint.solve_position_constraint(block, 1, unsolved)
         solved = solved & joint.solve_position_constraint(block, 2, unsolved)
@@ -149,9 +130,9 @@ def _start_contacts(block: Block, scene: Scene) -> tuple[int, int]:
     """
     touching, on_two_points = 0, 0
     for link in range(scene.n_links):
-        if contact.collide(block, link, scene.ground):
+        if contact.collide(block, link, scene):
             touching |= 1 << link
-            if contact.init_velocity_constraint(block, link, scene.ground, scene.restitution, scene.dt_ratio):
+            if contact.init_velocity_constraint(block, link, scene):
                 on_two_points |= 1 << link
     return touching, on_two_points
 
@@ -174,7 +155,7 @@ def _end_step(block: Block, scene: Scene, touching: int) -> None:
 @inline
 def _take_step(groups: Block, n_groups: int, scene: Scene, fluid: Push, step: int) -> None:
     for k in range(n_groups):
-        _push_links(from_row(groups, k * at.N_ROWS), scene, fluid, step)
+        _push_links(from_row(groups, k * at.N_ROWS), scene, of_group(fluid, k), step)
     touching, on_two_points = 0, 0  # the first group's links are the lowest bits
     for k in range(n_groups):
         links, links_on_two = _start_contacts(from_row(groups, k * at.N_ROWS), scene)
@@ -207,7 +188,7 @@ def advance(
             for k in range(n_together):
                 _orient(from_row(together, k * at.N_ROWS), scene)
         for step in range(n_steps):
-            _take_step(together, n_together, scene, fluid, first_step + step)
+            _take_step(together, n_together, scene, of_group(fluid, group), first_step + step)
             if traced:
                 for k in range(n_together):
                     block = from_row(together, k * at.N_ROWS)

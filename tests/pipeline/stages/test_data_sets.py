@@ -116,7 +116,7 @@ def test_trials_of_domain_randomisation_share_the_members_of_the_study_s_seed(se
     built = [trial_spec(settings, trial, trial.environment).at_home({}) for trial in trials]
     media = {"randomised_slush": settings.randomised_slush.of_study(4)}
     expected = environments.build_environment(media, "randomised_slush", 1.0, {})
-    assert len(built) == 3 and all(one.components == expected.components for one in built)
+    assert len(built) == 3 and all(one == expected for one in built)
     assert environments.relative_cost(settings, "randomised_slush") == 3
 
 
