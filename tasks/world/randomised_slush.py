@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from tasks.arrays import Float64
 from tasks.seeding import generator
 from tasks.world.environment import Environment
-from tasks.world.medium import EnsembleMedium, Fluid
+from tasks.world.medium import EnsembleMedium
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
 from tasks.world.slush import DragLaw, Slush
@@ -24,7 +24,7 @@ _DIGITS = 6  # significant digits of a parameter, so that members are the same w
 _Bound = Annotated[float, Field(gt=0.0, le=1e4)]
 
 
-class RandomisedSlushes(DragLaw, Fluid):
+class RandomisedSlushes(DragLaw):
     """Slushes with random parameters, the same ones in every trial of a study, as the members of an ensemble are.
 
     The ranges are those of a designer who knows the kind of fluid and not its parameters. None is fitted to throws, and
@@ -77,8 +77,6 @@ class RandomisedSlushes(DragLaw, Fluid):
     def factors(self, physics: Physics) -> tuple[Float64, ...]:
         """Return the factors of every slush."""
         return tuple(map(np.array, zip(*(slush.factors(physics) for slush in self.slushes()), strict=True)))
-
-    law = staticmethod(Slush.law)
 
 
 @dataclass(frozen=True)

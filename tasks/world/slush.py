@@ -14,7 +14,6 @@ from typing import Literal
 from pydantic import Field
 
 from tasks.compiled import formula
-from tasks.parameters import Parameters
 from tasks.simd.lanes import Numeric, any_lane, select, sqrt
 from tasks.world.environment import Environment
 from tasks.world.medium import Fluid, LinkStates, Medium
@@ -80,14 +79,6 @@ def submerged_part(length_scale: Numeric, y: Numeric, cos: Numeric, sin: Numeric
     return area, select(second_moment > 0.0, second_moment, 0.0)
 
 
-class DragLaw(Parameters):
-    """How drag acts, whatever its coefficients."""
-
-    drag: Literal["vector", "by_component"] = "vector"
-    """Drag opposes the velocity, quadratic in the speed, or each component by itself, quadratic in that component. The
-    paper's k |v| v reads as the first, which does not depend on the choice of the axes."""
-
-
 @formula
 def after_drag(velocity: Numeric, lost: Numeric) -> Numeric:
     """Return a velocity after a step of quadratic drag, which loses the share ``lost``, k |v| dt, at its first rate.
@@ -117,7 +108,20 @@ def slush_change(factors: Numeric, links: LinkStates, vx: Numeric) -> tuple[Nume
     return after_drag(vx, k_dt * speed_x) - vx, after_y - vy, after_drag(omega, k_r_dt * abs(omega)) - omega
 
 
-class Slush(DragLaw, Fluid):
+class DragLaw(Fluid):
+    """How the paper's slush acts, whatever its coefficients."""
+
+    drag: Literal["vector", "by_component"] = "vector"
+    """Drag opposes the velocity, quadratic in the speed, or each component by itself, quadratic in that component. The
+    paper's k |v| v reads as the first, which does not depend on the choice of the axes."""
+
+    @staticmethod
+    def law(factors: Numeric, links: LinkStates) -> tuple[Numeric, Numeric, Numeric]:
+        """Return the changes of vx, vy and ω in a step."""
+        return slush_change(factors, links, links.vx)
+
+
+class Slush(DragLaw):
     """The paper's slush.
 
     Drag is dv/dt = -k |v| v with k = ½ ρ C_dl A_s / m, and dω/dt = -k_r |ω| ω with k_r = ρ C_dr I_s / I.
@@ -144,11 +148,6 @@ class Slush(DragLaw, Fluid):
             density * physics.gravity * dt,
             float(self.drag == "by_component"),
         )
-
-    @staticmethod
-    def law(factors: Numeric, links: LinkStates) -> tuple[Numeric, Numeric, Numeric]:
-        """Return the changes of vx, vy and ω in a step."""
-        return slush_change(factors, links, links.vx)
 
 
 @dataclass(frozen=True)
