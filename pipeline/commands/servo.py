@@ -4,12 +4,15 @@ import os
 import select
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pipeline.commands.options import with_options
 from pipeline.commands.terminal import INTERRUPTED, to_stdout
+
+if TYPE_CHECKING:
+    from pipeline.bench.servo.play import Connection
 
 servo = typer.Typer(help="Play a timeline on servos, calibrate them, switch them off.", no_args_is_help=True)
 
@@ -39,9 +42,11 @@ class PortOptions:
     ] = 0.1
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything except talk to a controller.")] = False
 
-    def connection(self) -> dict[str, Any]:
-        """Return the fields of a :class:`pipeline.bench.servo.play.Connection`."""
-        return {"port": self.port, "timeout": self.timeout, "dry_run": self.dry_run}
+    def connection(self) -> "Connection":
+        """Return the connection that was chosen."""
+        from pipeline.bench.servo.play import Connection
+
+        return Connection(self.port, self.timeout, self.dry_run)
 
 
 Log = Annotated[Path | None, typer.Option("--log", help="Log of what was sent (CSV); default beside the timeline.")]
@@ -61,10 +66,10 @@ def play(
     log: Log = None,
 ) -> None:
     """Move a robot's servos through a timeline, and return them to rest whatever happens (docs/servo.md)."""
-    from pipeline.bench.servo.play import PlayOptions, play_timeline
+    from pipeline.bench.servo.play import User, play_timeline
 
-    options = PlayOptions(timeline, calibration, duration, loop, log, **port.connection())
-    if not play_timeline(options, confirm=lambda question: yes or _confirmed(question), say=to_stdout):
+    user = User(lambda question: yes or _confirmed(question), to_stdout)
+    if not play_timeline(timeline, port.connection(), user, calibration, duration=duration, loop=loop, log=log):
         raise typer.Exit(INTERRUPTED)
 
 
@@ -76,11 +81,11 @@ def calibrate(
     log: Log = None,
 ) -> None:
     """Move the servos one by one, measure them, and write calibration.yaml; the previous one stays beside it."""
-    from pipeline.bench.servo.calibrate import CalibrateOptions, Dialogue
     from pipeline.bench.servo.calibrate import calibrate as measure
+    from pipeline.bench.servo.play import User
 
-    options = CalibrateOptions(kit, joints or (), log, **port.connection())
-    if not measure(options, Dialogue(confirm=_confirmed, say=to_stdout, read=TypedLines(_STANDARD_INPUT))):
+    user = User(_confirmed, to_stdout, TypedLines(_STANDARD_INPUT))
+    if not measure(kit, port.connection(), user, joints=joints or (), log=log):
         raise typer.Exit(INTERRUPTED)
 
 
@@ -90,15 +95,11 @@ def off(
     port: PortOptions,
 ) -> None:
     """Switch the servos off at once, wherever they are, and check that the controller has stopped their pulses."""
-    from contextlib import closing
-
-    from pipeline.bench.servo.play import Connection, calibration_at, open_controller, switch_off
+    from pipeline.bench.servo.play import calibration_at, switch_off
 
     _, calibration = calibration_at(kit)
-    with closing(open_controller(Connection(**port.connection()))) as controller:
-        switch_off(controller, calibration)
-    channels = ", ".join(str(one.channel) for one in calibration.servos)
-    to_stdout(f"Servos on channels {channels}: switched off.")
+    channels = switch_off(port.connection(), calibration)
+    to_stdout(f"Servos on channels {', '.join(map(str, channels))}: switched off.")
 
 
 for _command in (play, calibrate, off):

@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from pipeline.config.loading import load
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json, decode_document, encode_document
 from pipeline.store.owned_folder import FolderKind
@@ -83,11 +82,6 @@ def read_timeline(path: Path) -> Timeline:
         raise PuddleError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
     except ValueError as error:
         raise PuddleError(f"{path}: angle: {error}") from None
-
-
-def read_calibration(path: Path) -> Calibration:
-    """Read a calibration from YAML or JSON. Raises PuddleError with a line per mistake."""
-    return load(Calibration, path)
 
 
 def calibration_yaml(calibration: Calibration, heading: str) -> bytes:

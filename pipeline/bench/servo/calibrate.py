@@ -5,8 +5,7 @@ time-out switches silent channels off. Limits, rates and the shutdown are those 
 """
 
 import contextlib
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from collections.abc import Generator, Sequence
 from math import degrees, isfinite, radians
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from pipeline.bench.fabrication.kit_files import calibration_yaml
 from pipeline.bench.servo.log import default_path
-from pipeline.bench.servo.play import SAFETY, Confirm, Connection, Say, calibration_at, open_controller, run
+from pipeline.bench.servo.play import SAFETY, Connection, User, calibration_at, run
 from pipeline.bench.servo.player import Clock, Frames
 from pipeline.errors import PuddleError
 from pipeline.store import disk
@@ -28,48 +27,37 @@ _SMALLEST_TURN_US, _SMALLEST_TURN = 50.0, radians(5)  # below, the error of read
 _PLAUSIBLE_US_PER_RAD = (100.0, 3000.0)  # a common servo has 600
 
 
-@dataclass(frozen=True)
-class CalibrateOptions(Connection):
-    """Options of a calibration."""
-
-    path: Path  # a kit, or a calibration file
-    joints: Sequence[int] = ()  # joints to calibrate; all if empty
-    log: Path | None = None  # log file; None puts servo-DATE-TIME.csv beside the calibration
-
-
-@dataclass(frozen=True)
-class Dialogue:
-    """The user on the terminal."""
-
-    confirm: Confirm
-    say: Say
-    read: Callable[[], str | None]
-    """Returns the next line that the user typed, or None while there is none. Raises EOFError where none can follow."""
-
-
-def calibrate(options: CalibrateOptions, user: Dialogue, clock: Clock | None = None) -> bool:
+def calibrate(
+    kit: Path,
+    connection: Connection,
+    user: User,
+    *,
+    joints: Sequence[int] = (),
+    log: Path | None = None,
+    clock: Clock | None = None,
+) -> bool:
     """Measure servos with the user's help, and write their calibration beside the previous one.
 
-    Returns whether a calibration was written; False if the user declined or stopped. Raises PuddleError if a file is
-    invalid, or the port or the controller fails; the calibration is then unchanged.
+    All joints are calibrated if none are given. Returns whether a calibration was written; False if the user declined
+    or stopped. Raises PuddleError if a file is invalid, or the port or the controller fails; nothing was written then.
     """
-    path, before = calibration_at(options.path)
-    if unknown := set(options.joints) - {servo.joint for servo in before.servos}:
+    path, before = calibration_at(kit)
+    if unknown := set(joints) - {servo.joint for servo in before.servos}:
         known = ", ".join(str(servo.joint) for servo in before.servos)
         raise PuddleError(f"--joint: {path} has servos for joints {known}, got {min(unknown)}")
-    log_path = options.log or default_path(path.parent)
+    log_path = log or default_path(path.parent)
     measured: dict[int, ServoCalibration] = {}
-    with contextlib.closing(open_controller(options)) as controller:
+    with contextlib.closing(connection.open()) as controller:
         user.say(f"{SAFETY} The log of this run: {log_path}")
-        if not options.dry_run and not user.confirm("Move the servos?"):
+        if not connection.dry_run and not user.confirm("Move the servos?"):
             user.say("Nothing was moved.")
             return False
-        chosen = [servo for servo in before.servos if not options.joints or servo.joint in options.joints]
+        chosen = [servo for servo in before.servos if not joints or servo.joint in joints]
         for number, servo in enumerate(chosen, 1):
             free = {"min_us": _LOWEST_US, "max_us": _HIGHEST_US, "max_speed": min(_SPEED, servo.max_speed)}
             of_servo = log_path if number == 1 else log_path.with_stem(f"{log_path.stem}-{number}")
             frames = _measurement(servo, user, measured)
-            if not run(controller, [servo.model_copy(update=free)], frames, of_servo, user.say, clock or Clock()):
+            if not run(controller, [servo.model_copy(update=free)], frames, of_servo, user, clock or Clock()):
                 user.say(f"{path} is unchanged.")
                 return False
     after = Calibration(servos=tuple(measured.get(servo.channel, servo) for servo in before.servos))
@@ -88,7 +76,7 @@ def calibrate(options: CalibrateOptions, user: Dialogue, clock: Clock | None = N
     return True
 
 
-def _measurement(servo: ServoCalibration, user: Dialogue, measured: dict[int, ServoCalibration]) -> Frames:
+def _measurement(servo: ServoCalibration, user: User, measured: dict[int, ServoCalibration]) -> Frames:
     """Ask for the four measurements of a servo while it is held, and add its calibration to ``measured``."""
     user.say(
         f"\nJoint {servo.joint} on channel {servo.channel}. Type a step such as +20 or -5 [µs] to move it, at most "
@@ -106,7 +94,7 @@ def _measurement(servo: ServoCalibration, user: Dialogue, measured: dict[int, Se
     return f"joint {servo.joint} is measured"
 
 
-def _scale(rest: float, user: Dialogue) -> Generator[Float64, None, tuple[float, int, float]]:
+def _scale(rest: float, user: User) -> Generator[Float64, None, tuple[float, int, float]]:
     """Measure a known turn. Return the pulse per radian [µs/rad], the direction, and the pulse now [µs]."""
     pulse = rest
     while True:
@@ -129,7 +117,7 @@ def _scale(rest: float, user: Dialogue) -> Generator[Float64, None, tuple[float,
 
 
 def _moved(
-    pulse: float, question: str, user: Dialogue, *, below: float = np.inf, above: float = -np.inf
+    pulse: float, question: str, user: User, *, below: float = np.inf, above: float = -np.inf
 ) -> Generator[Float64, None, float]:
     """Move a servo from a pulse [µs] by the user's steps until an empty line between two pulses. Return the last."""
     user.say(f"{question} Now {pulse:g} µs.")
@@ -149,7 +137,7 @@ def _moved(
             user.say(f"{pulse:g} µs")
 
 
-def _number(pulse: float, user: Dialogue, *, empty: float | None = None) -> Generator[Float64, None, float]:
+def _number(pulse: float, user: User, *, empty: float | None = None) -> Generator[Float64, None, float]:
     """Hold a servo until the user types a number. An empty line counts as ``empty``, if that is a number."""
     while True:
         try:

@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.bench.servo.limits import LimitedOutput
 from pipeline.bench.servo.log import LogEntry, ServoLog
-from pipeline.bench.servo.servo_controller import ControllerError, PortLostError, ServoController
+from pipeline.bench.servo.servo_controller import ControllerError, PortLostError, ServoController, confirm_off
 from pipeline.errors import PuddleError
 from tasks.arrays import Float64
 from tasks.bench.fabrication.calibration import ServoCalibration
@@ -49,6 +49,10 @@ def frames_of(pulses_us: Float64, *, loop: bool = False, duration: float | None 
             break
         yield pulses_us[frame % len(pulses_us)]
     return "the timeline ended"
+
+
+Show = Callable[[float, Mapping[int, float], float], None]
+"""Shows a run after a frame: the time since the timeline began [s], the pulses sent by channel [µs], the delay [s]."""
 
 
 class LateHostError(PuddleError):
@@ -85,15 +89,6 @@ def stopped_by_signals() -> Iterator[StopRequest]:
             signal.signal(kind, handler)
 
 
-@dataclass(frozen=True)
-class PlayState:
-    """State of a run after a frame, for display."""
-
-    time: float  # time since the timeline began [s]
-    angles: Mapping[int, float]  # angle that was sent to each channel [rad]
-    lateness: float  # delay of the frame [s]
-
-
 @dataclass
 class Player:
     """One run on a controller."""
@@ -103,7 +98,7 @@ class Player:
     log: ServoLog
     stop: StopRequest
     clock: Clock = field(default_factory=Clock)
-    show: Callable[[PlayState], None] = lambda state: None
+    show: Show = lambda time, sent, lateness: None
     worst_lateness: float = 0.0
     outcome: str = "never moved"  # how the run left the servos, in words
 
@@ -154,8 +149,7 @@ class Player:
             self._command(by_channel, frame=frame, lateness=lateness)
             sent = self._output.sent
             self._read_back(sent)
-            angles = {servo.channel: servo.angle(sent[servo.channel]) for servo in self.servos}
-            self.show(PlayState(frame * _FRAME, angles, lateness))
+            self.show(frame * _FRAME, sent, lateness)
             frame += 1
         return "stopped by the user"
 
@@ -229,10 +223,7 @@ class Player:
                 self._output.off()
             finally:
                 self._record(*(LogEntry(now, event="off", channel=servo.channel, sent=0.0) for servo in self.servos))
-            for servo in self.servos:
-                if position := self._position(servo):
-                    what = f"channel {servo.channel} is switched off but puts out {position:g} µs"
-                    raise ControllerError(f"{self.controller.name}: {what}")
+            confirm_off(self.controller, {servo.channel: self._position(servo) for servo in self.servos})
             self.outcome = f"switched off {where}"
         except (PortLostError, ControllerError) as error:
             self.outcome = _UNCONFIRMED if isinstance(error, ControllerError) else _NOT_SWITCHED_OFF

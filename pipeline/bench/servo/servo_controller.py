@@ -43,6 +43,16 @@ class ServoController(Protocol):
         """Release the port. Never raises."""
 
 
+def confirm_off(controller: ServoController, positions_us: Mapping[int, float | None]) -> None:
+    """Raise ControllerError if a channel that was switched off still puts out a pulse [µs]."""
+    for channel, position in positions_us.items():
+        if position:
+            raise ControllerError(
+                f"{controller.name}: channel {channel} is switched off but puts out {position:g} µs. Cut the servos' "
+                f"power if they hold or move"
+            )
+
+
 class DryRunController:
     """A controller without hardware: it accepts every command, moves nothing and knows no position."""
 

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 from command_line import call
 
-from pipeline.bench.fabrication.kit_files import KIT_MANIFEST, read_calibration, read_timeline
+from pipeline.bench.fabrication.kit_files import KIT_MANIFEST, read_timeline
 from pipeline.bench.fabrication.make_kit import fabricate
 from pipeline.bench.fabrication.source import from_file
-from pipeline.bench.servo.play import PlayOptions, play_timeline
+from pipeline.bench.servo.play import Connection, User, play_timeline
 from pipeline.commands.proposal import proposed
+from pipeline.config.loading import load
 from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_json, load_design
+from tasks.bench.fabrication.calibration import Calibration
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import Designs
 
@@ -67,7 +69,7 @@ def test_the_page_in_a_browser(made, browser):
 
 
 def test_its_timeline_and_calibration_can_be_played(made, clock, tmp_path):
-    line, servos = read_timeline(made / "kit/timeline.json"), read_calibration(made / "kit/calibration.yaml")
+    line, servos = read_timeline(made / "kit/timeline.json"), load(Calibration, made / "kit/calibration.yaml")
     assert line.joints == (2, 4) and line.time[-1] == 150.0
     assert {servo.joint for servo in servos.servos} == {2, 4}
     # 0.2 Hz under Froude's law: the second joint swings by 0.8 rad at 0.756 Hz.
@@ -75,8 +77,8 @@ def test_its_timeline_and_calibration_can_be_played(made, clock, tmp_path):
     crossings = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
     assert np.diff(crossings).mean() / 50 == pytest.approx(np.sqrt(0.07) / 0.2, rel=2e-3)
     assert np.abs(swing).max() == pytest.approx(0.8, abs=0.01)
-    options = PlayOptions(made / "kit", dry_run=True, log=tmp_path / "dry.csv")
-    assert play_timeline(options, confirm=lambda question: True, say=lambda line: None, clock=clock)
+    user = User(confirm=lambda question: True, say=lambda line: None)
+    assert play_timeline(made / "kit", Connection(dry_run=True), user, log=tmp_path / "dry.csv", clock=clock)
 
 
 def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path, capsys):

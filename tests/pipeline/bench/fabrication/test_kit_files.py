@@ -1,6 +1,7 @@
 """A kit's folder, timelines and calibrations: round trips, and messages that name file and field."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,11 +10,11 @@ from pipeline.bench.fabrication.kit_files import (
     KIT,
     KIT_MANIFEST,
     calibration_yaml,
-    read_calibration,
     read_timeline,
     timeline_json,
     write_folder,
 )
+from pipeline.config.loading import load
 from pipeline.errors import PuddleError
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
 from tasks.bench.fabrication.timeline import Timeline, pulses
@@ -40,10 +41,10 @@ def test_a_timeline_round_trip(tmp_path):
 def test_a_calibration_round_trip(tmp_path):
     path = tmp_path / "calibration.yaml"
     path.write_bytes(calibration_yaml(CALIBRATION, "The test robot.\nMeasure it."))
-    assert read_calibration(path) == CALIBRATION
+    assert load(Calibration, path) == CALIBRATION
     as_json = tmp_path / "calibration.json"
     as_json.write_text(CALIBRATION.model_dump_json(indent=2))
-    assert read_calibration(as_json) == CALIBRATION
+    assert load(Calibration, as_json) == CALIBRATION
 
 
 GOOD = calibration_yaml(CALIBRATION, "good").decode()
@@ -72,7 +73,7 @@ def test_invalid_files_are_refused(tmp_path, change, said):
         path, read = tmp_path / "timeline.json", read_timeline
         path.write_text(json.dumps({**json.loads(timeline_json(TIMELINE, CALIBRATION)), **change}))
     else:
-        path, read = tmp_path / "calibration.yaml", read_calibration
+        path, read = tmp_path / "calibration.yaml", partial(load, Calibration)
         path.write_text(GOOD.replace(*change, 1))
     with pytest.raises(PuddleError) as refusal:
         read(path)

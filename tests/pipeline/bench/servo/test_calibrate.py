@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 from command_line import call, refused
 
-from pipeline.bench.fabrication.kit_files import calibration_yaml, read_calibration
-from pipeline.bench.servo.calibrate import CalibrateOptions, Dialogue, calibrate
+from pipeline.bench.fabrication.kit_files import calibration_yaml
+from pipeline.bench.servo import play
+from pipeline.bench.servo.calibrate import calibrate
 from pipeline.commands.servo import TypedLines
+from pipeline.config.loading import load
 from pipeline.errors import PuddleError
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
 
@@ -49,16 +51,17 @@ class User:
         self.questions.append(question)
         return next(self._answers)
 
-    def dialogue(self) -> Dialogue:
-        return Dialogue(self.confirm, self.lines.append, self.read)
+    def on_the_terminal(self) -> play.User:
+        return play.User(self.confirm, self.lines.append, self.read)
 
 
 JOINT_2 = "+40|-2.5||100|100|100|20||abc|30|-100|-100|-100|-100|-100|-100|-90||" + 14 * "100|"
 """Rest at 1537.5 µs; 320 µs more turn it by 30°; 590 µs less and 810 µs more are the limits."""
 
 
-def measured(kit: Path, user: User, clock, **options) -> bool:
-    return calibrate(CalibrateOptions(kit, timeout=10.0, **options), user.dialogue(), clock)
+def measured(kit: Path, user: User, clock, port=None, joints=()) -> bool:
+    connection = play.Connection(port, timeout=10.0, dry_run=port is None)
+    return calibrate(kit, connection, user.on_the_terminal(), joints=joints, clock=clock)
 
 
 def test_a_servo_is_measured_and_the_previous_calibration_stays(kit, plug, clock, calibration):
@@ -69,7 +72,7 @@ def test_a_servo_is_measured_and_the_previous_calibration_stays(kit, plug, clock
     other = calibration.servos[1]
     expected = {"centre_us": 1537.5, "us_per_rad": round(320 / radians(30), 3), "direction": 1}
     expected |= {"joint": 2, "channel": 0, "min_us": 1167.5, "max_us": 2467.5, "max_speed": 3.0}
-    assert read_calibration(kit / "calibration.yaml") == Calibration(servos=(ServoCalibration(**expected), other))
+    assert load(Calibration, kit / "calibration.yaml") == Calibration(servos=(ServoCalibration(**expected), other))
     assert (kit / "calibration-1.yaml").read_bytes() == before
     assert user.questions[0] == "Move the servos?" and "stays as calibration-1.yaml" in user.questions[1]
     said = "\n".join(user.lines)
@@ -93,7 +96,7 @@ def test_values_that_cannot_be_true_are_asked_again(kit, clock):
         "|100|100||"
     )
     user = User(typed, True)
-    assert measured(kit, user, clock, dry_run=True, joints=(2,)), user.lines
+    assert measured(kit, user, clock, joints=(2,)), user.lines
     said = "\n".join(user.lines)
     for problem in (
         "at most 100 µs, got 200",
@@ -105,7 +108,7 @@ def test_values_that_cannot_be_true_are_asked_again(kit, clock):
         "more than the pulse at rest, 1500 µs, got 1450",
     ):
         assert problem in said, problem
-    (servo, _) = read_calibration(kit / "calibration.yaml").servos
+    (servo, _) = load(Calibration, kit / "calibration.yaml").servos
     assert (servo.min_us, servo.centre_us, servo.max_us, servo.direction) == (1450.0, 1500.0, 1650.0, -1)
 
 
@@ -116,7 +119,7 @@ def test_an_input_that_ends_leaves_the_calibration_and_the_servos_off(kit, plug,
         measured(kit, User(typed.rstrip("|"), True), clock, port=fake.path)
     fake.finish()
     assert not fake.on and fake.pulses(0)[-2:] == [1500.0, 0.0]
-    assert read_calibration(kit / "calibration.yaml") == calibration
+    assert load(Calibration, kit / "calibration.yaml") == calibration
 
 
 def test_mistakes_of_calibrate_and_off(kit, tmp_path, capsys):

@@ -11,7 +11,7 @@ from command_line import call, refused
 from typer.testing import CliRunner
 
 from pipeline.bench.fabrication.kit_files import calibration_yaml, timeline_json
-from pipeline.bench.servo.play import PlayOptions, play_timeline
+from pipeline.bench.servo.play import Connection, User, play_timeline
 from pipeline.commands.app import app
 from tasks.bench.fabrication.timeline import Timeline, envelope
 
@@ -38,8 +38,9 @@ def rows_of(log: Path) -> list[dict[str, str]]:
 def played(kit: Path, log: Path | None, clock, **options) -> tuple[bool, str]:
     """Play in this process, on a clock of the test. Returns whether the run ended, and what the user was shown."""
     lines: list[str] = []
-    chosen = PlayOptions(kit, log=log, timeout=10.0, **options)
-    return play_timeline(chosen, confirm=lambda question: True, say=lines.append, clock=clock), "\n".join(lines)
+    user = User(confirm=lambda question: True, say=lines.append)
+    ended = play_timeline(kit, Connection(timeout=10.0, dry_run=True), user, log=log, clock=clock, **options)
+    return ended, "\n".join(lines)
 
 
 def test_a_dry_run(kit, tmp_path, clock, capsys, monkeypatch):
@@ -47,7 +48,7 @@ def test_a_dry_run(kit, tmp_path, clock, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path / "elsewhere")
     faults = [{"severity": severity, "where": "", "message": ""} for severity in ("fault", "warning", "fault")]
     (kit / "kit.json").write_text(json.dumps({"findings": faults}))
-    ended, said = played(kit, None, clock, dry_run=True, duration=0.5)
+    ended, said = played(kit, None, clock, duration=0.5)
     (log,) = kit.glob("servo-20??????-??????.csv")  # beside the timeline
     assert ended and not list((tmp_path / "elsewhere").iterdir())
     assert "joint 2 on channel 0: -34° to +34°" in said and "dry run" in said and f"The log of this run: {log}" in said

@@ -167,7 +167,7 @@ def test_a_failure_returns_to_neutral(plug, calibration, wanted, clock, cause, e
     fake = plug()
     player = player_of(fake, calibration, clock, log=None if cause else Full())
     if cause:
-        player.show = lambda state: cause(fake, clock) if state.time > 2 else clock.sleep(0.001)
+        player.show = lambda time, *_: cause(fake, clock) if time > 2 else clock.sleep(0.001)
     with pytest.raises(error, match=said):
         player.follow(frames_of(wanted))
     fake.finish()
@@ -202,7 +202,7 @@ def test_signals_return_to_neutral(plug, calibration, wanted, clock, kind):
     fake = plug()
     with stopped_by_signals() as stop:
         player = player_of(fake, calibration, clock, stop=stop)
-        player.show = lambda state: os.kill(os.getpid(), kind) if state.time == 1.5 else None
+        player.show = lambda time, *_: os.kill(os.getpid(), kind) if time == 1.5 else None
         assert player.follow(frames_of(wanted)) == "stopped by the user"
     fake.finish()
     check_neutral_and_off(fake, calibration)
