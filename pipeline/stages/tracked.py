@@ -21,7 +21,7 @@ from tasks.bench.tracks import Bars, TrackError, Tracks, TrackTable
 from tasks.bench.tracks.bars import TrackedBarError
 from tasks.bench.tracks.free_fall import Fall, falls_oddly
 from tasks.bench.tracks.residuals import TrackReport, check_throws
-from tasks.bench.tracks.table import Paths, length_scale_of, time_scale_of
+from tasks.bench.tracks.table import Paths
 from tasks.residual.learner import TANK_MODEL
 
 TRACK_REPORT = "tracks.json"  # what the tracks are like
@@ -176,11 +176,11 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
     """
     tracks = settings.tracks
     assert tracks is not None
-    mm = 1000 * length_scale_of(tracks)
+    mm = 1000 * tracks.metres_per_metre
     noise_x, noise_y, noise_angle = report["noise"]
     of_noise = "stated" if report["sd_given"] else "estimated"
     sd_vx, sd_vy, sd_omega = report["residual_sd"]
-    rate = 1 / (report["frame_interval"] * time_scale_of(tracks))
+    rate = 1 / (report["frame_interval"] * tracks.time_scale)
     lines = [
         f"{report['n_throws']:,} tracked throws, {report['n_frames']:,} frames at {rate:.0f} a second, "
         f"{n_transitions:,} transitions, and {n_further:,} of throws in the medium that was fitted to them",

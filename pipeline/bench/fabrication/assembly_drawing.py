@@ -215,7 +215,7 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
     for servo_joint in kit.servo_joints:
         joint = servo_joint.joint
         turns, rest = f"part {joint.child + 1} on {joint.parent + 1}", f"{degrees(joint.rest_angle):+.1f}°"
-        for side in servo_joint.sides(kit.settings.servos_per_joint):
+        for side in servo_joint.sides:
             sense = "+ angle" if kit.direction(servo_joint, side) > 0 else "− angle"
             carrier = f"part {servo_joint.carrier + 1}, {side}"
             joints.append([f"{joint.link}", turns, rest, f"±{degrees(joint.reach):.1f}°", carrier, sense])

@@ -134,7 +134,7 @@ def _calibration_of(kit: Kit) -> Calibration | None:
     servos: list[ServoCalibration] = []
     for servo_joint in kit.servo_joints:
         reach = servo.us_per_rad * (servo_joint.joint.reach + _SPARE_RANGE)
-        for side in servo_joint.sides(kit.settings.servos_per_joint):
+        for side in servo_joint.sides:
             servos.append(
                 ServoCalibration(
                     joint=servo_joint.joint.link,

@@ -18,7 +18,7 @@ from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, 
 from tasks.bench.fabrication.checks import KitFinding
 from tasks.bench.fabrication.kit import Kit
 from tasks.bench.fabrication.kit_settings import FabricationSettings
-from tasks.bench.fabrication.servos import MEASURES
+from tasks.bench.fabrication.servos import DIMENSIONS
 from tasks.world import Physics
 
 _JOINT_COLOURS = ("#1c6fb8", "#dd7700", "#1d6b3c", "#7d4aa5", "#c2185b")
@@ -56,7 +56,7 @@ def render_kit(
             ),
             "timeline": _figure(finish("gait", "Joint angles on the bench", partial(_timeline, bench))),
         },
-        measures=MEASURES,
+        measures=DIMENSIONS,
         physics=physics,
         frequency=float(source.design.frequency[0]),
         simulated_share=physics.link_density / density if density > 0 else None,

@@ -15,6 +15,7 @@ from pipeline.errors import PuddleError
 from pipeline.stages import environments
 from pipeline.store.design_file import design_json
 from pipeline.store.encoding import Json
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import DesignError
 
@@ -37,14 +38,11 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
     from pipeline.bench.fabrication.bench import bench_of
     from pipeline.bench.fabrication.exports import exports
     from pipeline.bench.fabrication.kit_page import render_kit, verdict
-    from tasks.bench.fabrication.features import KitError
     from tasks.bench.fabrication.kit import build_kit
-    from tasks.bench.fabrication.profile import SolidError
-    from tasks.bench.fabrication.servos import ServoError
 
     try:
         kit = build_kit(source.design, choices.kit)
-    except (KitError, SolidError, ServoError, DesignError) as error:
+    except (KitError, DesignError) as error:
         raise PuddleError(f"{source.name}: {error}") from None
     physics = source.settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
     bench = bench_of(source, kit, choices, physics)

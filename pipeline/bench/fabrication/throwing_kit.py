@@ -14,8 +14,9 @@ from pipeline.bench.fabrication.make_kit import require_cad
 from pipeline.bench.vision import require_vision
 from pipeline.errors import PuddleError
 from pipeline.store.owned_folder import FolderKind
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import FabricationSettings
-from tasks.bench.fabrication.throwing_bars import BarError, ThrowingBar, throwing_bars
+from tasks.bench.fabrication.throwing_bars import ThrowingBar, throwing_bars
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.residual.throws import even_starts
 from tasks.seeding import generator
@@ -46,7 +47,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     settings, throwing = choices.kit, choices.throwing
     try:
         bars = throwing_bars(throwing, settings, choices.scaling.fluid_density)
-    except BarError as error:
+    except KitError as error:
         raise PuddleError(str(error)) from None
     markers = markers_of(throwing, bars)
     highest = throwing.tank_height - throwing.waterline

@@ -52,9 +52,8 @@ def assemble(design: Designs, settings: KitSettings) -> Assembly:
 
     Raises:
         DesignError: The design is invalid.
-        ServoError: The library has no such servo or horn, or the measurements contradict each other.
-        KitError: No part can be made with these settings.
-        SolidError: The CAD kernel made geometry that does not match the polygons.
+        KitError: No part can be made with these settings: there is no such servo or horn, the measurements contradict
+            each other, something does not fit, or the CAD kernel made geometry that does not match the polygons.
     """
     check(design)
     mechanism = mechanism_of(design, settings)

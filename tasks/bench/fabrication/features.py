@@ -12,6 +12,7 @@ from shapely import Point as ShapelyPoint
 from shapely import Polygon
 
 from tasks.bench.fabrication.built_bodies import Point
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.servo_joints import ServoJoint
 
@@ -25,10 +26,6 @@ _MIN_WEB_MM = 5.0  # plastic under the heads of the horn's screws
 _TIP_MM = 0.5  # by which those screws protrude from the horn, and their distance to the servo's case
 _OVERLAP_MM = 0.5  # of sunk heads and the centre screw's hole where there is no room for a wall
 SCREW_LENGTHS_MM = (4, 5, 6, 8, 10, 12, 16, 20, 25, 30, 35, 40, 50, 60)  # on sale: those of ISO 4762 and ISO 7049
-
-
-class KitError(ValueError):
-    """No part can be made with these settings. The message names the setting and the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +74,10 @@ def check_room_between(servo_joints: Sequence[ServoJoint], settings: KitSettings
         )
 
 
-def cradle_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feature]:
+def cradle_features(servo_joint: ServoJoint) -> list[Feature]:
     """List the servo's pocket, ear screws and cable exits. Raises KitError if the part is too thin for the servo."""
-    servo, group, thickness = servo_joint.servo, f"servo of joint {servo_joint.joint.link}", settings.thickness_mm
+    servo, group = servo_joint.servo, f"servo of joint {servo_joint.joint.link}"
+    thickness = servo_joint.settings.thickness_mm
     floor = thickness - plate_mm(servo_joint)
     if floor < servo.ear_thickness_mm + _NOTCH_DEPTH_MM:
         raise KitError(
@@ -95,10 +93,11 @@ def cradle_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feat
     return features + [Feature("cable", group, way, 0.0, _NOTCH_DEPTH_MM) for way in servo_joint.cable_ways]
 
 
-def horn_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feature]:
+def horn_features(servo_joint: ServoJoint) -> list[Feature]:
     """List the recess and screw holes in the part that a horn turns. Raises KitError if that part is too thin."""
-    horn, group, thickness = servo_joint.horn, f"horn of joint {servo_joint.joint.link}", settings.thickness_mm
-    seat = horn_seat_mm(servo_joint, settings)
+    horn, settings, group = servo_joint.horn, servo_joint.settings, f"horn of joint {servo_joint.joint.link}"
+    thickness, clearance = settings.thickness_mm, settings.servo_clearance_mm
+    seat = horn_seat_mm(servo_joint)
     if seat < _MIN_WEB_MM:
         raise KitError(
             f"thickness_mm is {thickness:g}: the horn of servo {servo_joint.servo.name} needs at least "
@@ -108,17 +107,17 @@ def horn_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Featur
     if horn.kind == "disc":
         features = [_bore("horn", group, at, 2 * servo_joint.recess_radius_mm, seat, thickness)]
     else:
-        half = horn.arm_width_mm / 2 + servo_joint.clearance_mm
-        long, wide = (reach + servo_joint.clearance_mm for reach in (horn.long_mm, horn.short_mm))
+        half = horn.arm_width_mm / 2 + clearance
+        long, wide = (reach + clearance for reach in (horn.long_mm, horn.short_mm))
         features = [
             Feature("horn", group, servo_joint.rectangle((-long, long), half), seat, thickness),
             Feature("horn", group, servo_joint.rectangle((-half, half), wide), seat, thickness),
-            _bore("horn", group, at, horn.hub_mm + 2 * servo_joint.clearance_mm, seat, thickness),
+            _bore("horn", group, at, horn.hub_mm + 2 * clearance, seat, thickness),
         ]
     through = _HEAD * servo_joint.servo.centre_screw_mm + _HEAD_CLEARANCE_MM
     head = _HEAD * horn.screw_mm + _CLEARANCE_MM
     between = horn.screw_radius_mm - head / 2 - through / 2
-    sunk = seat - horn_screw(servo_joint, settings).web_mm
+    sunk = seat - horn_screw(servo_joint).web_mm
     features.append(_bore("centre screw", group, at, through, sunk, seat))
     if sunk > 0.0:  # where a wall between the bores would be too thin, they meet
         wide = through if between >= settings.min_wall_mm else 2 * (horn.screw_radius_mm - head / 2 + _OVERLAP_MM)
@@ -130,9 +129,9 @@ def horn_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Featur
     return features
 
 
-def horn_seat_mm(servo_joint: ServoJoint, settings: KitSettings) -> float:
+def horn_seat_mm(servo_joint: ServoJoint) -> float:
     """Return the height of the recess's floor, on which the horn's top lies."""
-    return settings.thickness_mm - (servo_joint.horn.top_mm - settings.layer_gap_mm)
+    return servo_joint.settings.thickness_mm - (servo_joint.horn.top_mm - servo_joint.settings.layer_gap_mm)
 
 
 class HornScrew(NamedTuple):
@@ -142,12 +141,12 @@ class HornScrew(NamedTuple):
     web_mm: float  # plastic that it passes through; its head is sunk into the rest
 
 
-def horn_screw(servo_joint: ServoJoint, settings: KitSettings) -> HornScrew:
+def horn_screw(servo_joint: ServoJoint) -> HornScrew:
     """Choose the shortest screw on sale that passes through the horn, and sink its head as deep as needed.
 
     Raises KitError if every length leaves too little plastic or touches the servo's case.
     """
-    horn, seat = servo_joint.horn, horn_seat_mm(servo_joint, settings)
+    horn, seat = servo_joint.horn, horn_seat_mm(servo_joint)
     for length in SCREW_LENGTHS_MM:
         web = min(length - horn.thickness_mm - _TIP_MM, seat)
         if web >= _MIN_WEB_MM and length - web <= horn.top_mm - _TIP_MM:
@@ -168,8 +167,8 @@ def features_of(
         if body not in (servo_joint.carrier, servo_joint.driven):
             continue
         carries = servo_joint.carrier == body
-        if side in servo_joint.sides(settings.servos_per_joint):
-            features += cradle_features(servo_joint, settings) if carries else horn_features(servo_joint, settings)
+        if side in servo_joint.sides:
+            features += cradle_features(servo_joint) if carries else horn_features(servo_joint)
         else:
             diameter = settings.rod_mm + (settings.rod_clearance_mm if carries else settings.pivot_clearance_mm)
             group = f"pin of joint {servo_joint.joint.link}"

@@ -55,7 +55,7 @@ def build_kit(design: Designs, settings: KitSettings) -> Kit:
         **vars(assembly),
         parts=tuple(parts),
         bought=tuple(bought_of(assembly)),
-        gauges=gauges_of(assembly.servo_joints, settings),
+        gauges=gauges_of(assembly.servo_joints),
         findings=findings_of(assembly),
         bill=tuple(_bill_of(assembly, parts)),
     )
@@ -71,7 +71,7 @@ def _bill_of(assembly: Assembly, parts: Sequence[Part]) -> list[BillLine]:
     n_servos = n_each * len(assembly.servo_joints)
     for servo_joint in assembly.servo_joints:
         ear = f"{servo.ear_screw_name} × {ear_screw_mm(servo_joint)}"
-        horn = f"{servo_joint.horn.screw_name} × {horn_screw(servo_joint, settings).length_mm}"
+        horn = f"{servo_joint.horn.screw_name} × {horn_screw(servo_joint).length_mm}"
         screws[ear, "ears"] += n_each * len(servo_joint.ear_holes())
         screws[horn, "horn"] += n_each * len(servo_joint.horn_holes())
         screws[servo.centre_screw_name, "centre of the horn, supplied with the servo"] += n_each

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator
 
 from tasks.bench.fabrication.scaling import Scaling
-from tasks.bench.fabrication.servos import MEASURES, HornKind
+from tasks.bench.fabrication.servos import DIMENSIONS, HornKind
 from tasks.bench.fabrication.timeline import Playback
 from tasks.parameters import Parameters
 
@@ -65,8 +65,8 @@ class KitSettings(Parameters):
     @field_validator("measured")
     @classmethod
     def _check_names(cls, measured: dict[str, float]) -> dict[str, float]:
-        if unknown := sorted(measured.keys() - MEASURES.keys()):
-            raise ValueError(f"expected names of {', '.join(MEASURES)}; got {', '.join(unknown)}")
+        if unknown := sorted(measured.keys() - DIMENSIONS.keys()):
+            raise ValueError(f"expected names of {', '.join(DIMENSIONS)}; got {', '.join(unknown)}")
         return measured
 
     @property

@@ -15,8 +15,9 @@ from tasks.arrays import Float64, Int64
 from tasks.bench.fabrication.assembly import SIDES, Assembly
 from tasks.bench.fabrication.built_bodies import RigidPart
 from tasks.bench.fabrication.features import Feature, cradle_features, horn_features, horn_screw, horn_seat_mm, plate_mm
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
-from tasks.bench.fabrication.profile import Profile, SolidError, cradle_boss, horn_boss, polygon_of
+from tasks.bench.fabrication.profile import Profile, cradle_boss, horn_boss, polygon_of
 from tasks.bench.fabrication.servo_joints import ServoJoint
 from tasks.bench.fabrication.splits import MIN_PIECE_MM2, bed_mm, turn_to_fit
 from tasks.bench.fabrication.throwing_bars import ThrowingBar
@@ -72,7 +73,7 @@ class Mesh:
 
 
 def parts_of(assembly: Assembly) -> list[Part]:
-    """Make both copies of all parts, in pieces if they are split. Raises SolidError as :func:`gauges_of`."""
+    """Make both copies of all parts, in pieces if they are split. Raises KitError as :func:`gauges_of`."""
     return [piece for body in assembly.mechanism.bodies for side in SIDES for piece in _pieces(assembly, body, side)]
 
 
@@ -101,22 +102,23 @@ def _pieces(assembly: Assembly, body: RigidPart, side: str) -> list[Part]:
     return parts
 
 
-def gauges_of(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> tuple[Gauge, ...]:
+def gauges_of(servo_joints: Sequence[ServoJoint]) -> tuple[Gauge, ...]:
     """Make two small prints that show whether servo and horn fit before the parts are printed; none without a servo.
 
     The gauges are slices of the kit's own parts: the plate that the ears are screwed to with a rim of the pocket, and
     the horn's recess with the plastic under it. With servo and horn in place, the gap between the gauges equals the gap
-    between the layers. Raises SolidError if the CAD kernel made a solid that does not match the outlines.
+    between the layers. Raises KitError if the CAD kernel made a solid that does not match the outlines.
     """
     if not servo_joints:
         return ()
     at_origin = replace(servo_joints[0], joint=replace(servo_joints[0].joint, at=(0.0, 0.0)), angle=0.0)
+    settings = at_origin.settings
     bottom = settings.thickness_mm - plate_mm(at_origin) - _RIM_MM
-    servo = _slice("gauge-servo", cradle_boss(at_origin), cradle_features(at_origin, settings), bottom, settings)
+    servo = _slice("gauge-servo", cradle_boss(at_origin), cradle_features(at_origin), bottom, settings)
     height = servo.solid.bounding_box().size.Z
     flipped = servo.solid.rotate(Axis.X, 180.0).moved(Location((0.0, 0.0, height)))  # the pocket opens upward
-    bottom = horn_seat_mm(at_origin, settings) - horn_screw(at_origin, settings).web_mm
-    horn = _slice("gauge-horn", horn_boss(at_origin), horn_features(at_origin, settings), bottom, settings)
+    bottom = horn_seat_mm(at_origin) - horn_screw(at_origin).web_mm
+    horn = _slice("gauge-horn", horn_boss(at_origin), horn_features(at_origin), bottom, settings)
     return (replace(servo, solid=flipped), horn)
 
 
@@ -143,11 +145,11 @@ def _cut_out(name: str, profile: Profile, features: Sequence[Feature], thickness
     volume = sum(solid.volume for solid in cut)
     solids = [solid for solid in cut if solid.volume > MIN_PIECE_MM2 * thickness]
     if len(solids) != n_pieces or not all(solid.is_valid for solid in solids):
-        raise SolidError(
+        raise KitError(
             f"{name}: expected {n_pieces} valid solids, got {len(solids)} ({sum(s.is_valid for s in solids)} valid)"
         )
     if abs(volume - expected) > _VOLUME_TOLERANCE * expected:
-        raise SolidError(f"{name}: volume is {volume:.1f} mm³, expected {expected:.1f}")
+        raise KitError(f"{name}: volume is {volume:.1f} mm³, expected {expected:.1f}")
     return solids
 
 
@@ -190,7 +192,7 @@ def bought_of(assembly: Assembly) -> list[BoughtPart]:
     for servo_joint in assembly.servo_joints:
         for side in SIDES:
             label = f"joint {servo_joint.joint.link}, {side}"
-            if side in servo_joint.sides(settings.servos_per_joint):
+            if side in servo_joint.sides:
                 for kind, shape in (("servo", _servo(servo_joint, thickness)), ("horn", _horn(servo_joint, thickness))):
                     there = _placed(shape, assembly, servo_joint.carrier, side)
                     things.append(BoughtPart(f"{kind} of {label}", kind, there))

@@ -13,16 +13,13 @@ from shapely import Point as ShapelyPoint
 from shapely import Polygon
 
 from tasks.bench.fabrication.built_bodies import Mechanism, Point
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.servo_joints import ServoJoint
 
 _ARC_STEP = np.radians(4.0)  # of the polygon's chords; they miss an arc of 20 mm radius by 0.01 mm
 _PROBE_MM = 0.1  # radius around a corner in which the share of the inside is measured
 _INNER_SHARE = 0.55  # above it a corner is an inner one; a smooth transition into an arc has 0.5
-
-
-class SolidError(ValueError):
-    """The CAD kernel made the wrong geometry. The message names the part and the difference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +33,7 @@ class Profile:
 def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int, settings: KitSettings) -> Profile:
     """Unite the links and bosses of the part with an index and fillet the corners where they meet.
 
-    Raises SolidError if the union has several pieces.
+    Raises KitError if the union has several pieces.
     """
     sketches: list[Sketch] = [
         _at(mechanism.link_centre[link], mechanism.link_angle[link]) * Rectangle(*mechanism.link_size[link])
@@ -49,7 +46,7 @@ def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: i
         united = united + sketch
     faces = united.faces()
     if len(faces) != 1:
-        raise SolidError(f"{mechanism.bodies[body].name}: the links form {len(faces)} pieces, expected 1")
+        raise KitError(f"{mechanism.bodies[body].name}: the links form {len(faces)} pieces, expected 1")
     face = faces[0] if faces[0].normal_at().Z > 0 else -faces[0]
     if settings.fillet_mm > 0:
         for corner, room in _inner_corners(face).items():
@@ -61,15 +58,15 @@ def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: i
 
 def cradle_boss(servo_joint: ServoJoint) -> Sketch:
     """Draw the outline of a servo's cradle, in place."""
-    servo, wall = servo_joint.servo, servo_joint.wall_mm
+    servo, wall = servo_joint.servo, servo_joint.settings.wall_mm
     middle = servo_joint.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
-    length = servo.ear_length_mm + 2 * (servo_joint.clearance_mm + wall)
+    length = servo.ear_length_mm + 2 * (servo_joint.settings.servo_clearance_mm + wall)
     return _at(middle, servo_joint.angle) * RectangleRounded(length, servo_joint.cradle_width_mm, wall)
 
 
 def horn_boss(servo_joint: ServoJoint) -> Sketch:
     """Draw the outline around a horn's recess, in place."""
-    return _at(servo_joint.joint.at, 0.0) * Circle(servo_joint.recess_radius_mm + servo_joint.wall_mm)
+    return _at(servo_joint.joint.at, 0.0) * Circle(servo_joint.seat_radius_mm)
 
 
 def _at(place: Point, angle: float) -> Location:

@@ -39,18 +39,26 @@ class ServoJoint:
 
     joint: TurningJoint
     number: int  # index among the servo joints
-    servo: Servo
-    horn: Horn
+    servo: Servo  # with its one horn
     carrier: int  # index of the body that holds the servo
     driven: int  # index of the body that the horn turns
     angle: float  # angle of the servo's long side in the plane, from the shaft to the far end [rad]
-    clearance_mm: float
-    wall_mm: float
+    settings: KitSettings
+
+    @property
+    def horn(self) -> Horn:
+        """The servo's horn."""
+        return self.servo.horns[0]
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Pontoons that hold a servo at this joint."""
+        return ("left", "right") if self.settings.servos_per_joint == 2 else (("left", "right")[self.number % 2],)
 
     def _ends(self, over: float) -> Point:
         """Return both ends, along the servo, of what reaches over the case by some length [mm], with clearance."""
-        near = -self.servo.shaft_offset_mm - over - self.clearance_mm
-        return near, self.servo.length_mm - self.servo.shaft_offset_mm + over + self.clearance_mm
+        servo, clearance = self.servo, self.settings.servo_clearance_mm
+        return -servo.shaft_offset_mm - over - clearance, servo.length_mm - servo.shaft_offset_mm + over + clearance
 
     @property
     def _ear_mm(self) -> float:
@@ -59,34 +67,37 @@ class ServoJoint:
     @property
     def pocket(self) -> BaseGeometry:
         """Outline of the ears, with clearance."""
-        return self.rectangle(self._ends(self._ear_mm), self.servo.width_mm / 2 + self.clearance_mm)
+        return self.rectangle(self._ends(self._ear_mm), self.servo.width_mm / 2 + self.settings.servo_clearance_mm)
 
     @property
     def case(self) -> BaseGeometry:
         """Outline of the case, with clearance."""
-        return self.rectangle(self._ends(0.0), self.servo.width_mm / 2 + self.clearance_mm)
+        return self.rectangle(self._ends(0.0), self.servo.width_mm / 2 + self.settings.servo_clearance_mm)
 
     @property
     def cable_ways(self) -> list[BaseGeometry]:
         """Notches in the pocket's walls at both ends of the servo."""
         near, far = self._ends(self._ear_mm)
         half = (self.servo.cable_width_mm + _CABLE_CLEARANCE_MM) / 2
-        return [self.rectangle((near - self.wall_mm, near), half), self.rectangle((far, far + self.wall_mm), half)]
+        return [
+            self.rectangle((near - self.settings.wall_mm, near), half),
+            self.rectangle((far, far + self.settings.wall_mm), half),
+        ]
 
     @property
     def cradle(self) -> BaseGeometry:
         """The pocket with its walls."""
-        return self.pocket.buffer(self.wall_mm)
+        return self.pocket.buffer(self.settings.wall_mm)
 
     @property
     def cradle_width_mm(self) -> float:
         """Width of the cradle across the servo."""
-        return self.servo.width_mm + 2 * (self.clearance_mm + self.wall_mm)
+        return self.servo.width_mm + 2 * (self.settings.servo_clearance_mm + self.settings.wall_mm)
 
     @property
     def recess_radius_mm(self) -> float:
         """Radius of the circle around the horn, with clearance."""
-        return max(self.horn.long_mm, self.horn.short_mm) + self.clearance_mm
+        return max(self.horn.long_mm, self.horn.short_mm) + self.settings.servo_clearance_mm
 
     @property
     def recess(self) -> BaseGeometry:
@@ -94,9 +105,14 @@ class ServoJoint:
         return ShapelyPoint(self.joint.at).buffer(self.recess_radius_mm, quad_segs=32)
 
     @property
+    def seat_radius_mm(self) -> float:
+        """Radius of the recess with its wall."""
+        return self.recess_radius_mm + self.settings.wall_mm
+
+    @property
     def seat(self) -> BaseGeometry:
         """The recess with its wall."""
-        return ShapelyPoint(self.joint.at).buffer(self.recess_radius_mm + self.wall_mm, quad_segs=32)
+        return ShapelyPoint(self.joint.at).buffer(self.seat_radius_mm, quad_segs=32)
 
     def rectangle(self, u: tuple[float, float], half_v: float) -> BaseGeometry:
         """Place a rectangle in the plane: its two ends along the servo and half its width across the servo [mm]."""
@@ -120,10 +136,6 @@ class ServoJoint:
         r = self.horn.screw_radius_mm
         return [self.point(r * cos(turn * pi / 2), r * sin(turn * pi / 2)) for turn in range(4)]
 
-    def sides(self, servos_per_joint: int) -> tuple[str, ...]:
-        """Return the pontoons that hold a servo at this joint."""
-        return ("left", "right") if servos_per_joint == 2 else (("left", "right")[self.number % 2],)
-
     def direction(self, *, carrier_is_outer: bool, side: str) -> Sense:
         """Return 1 if longer pulses turn the child link counter-clockwise, seen with x to the right; else -1.
 
@@ -144,12 +156,10 @@ def servo_joints_of(mechanism: Mechanism, servo: Servo, settings: KitSettings) -
                 joint=joint,
                 number=number,
                 servo=servo,
-                horn=servo.horns[0],
                 carrier=carrier,
                 driven=joint.child if carrier == joint.parent else joint.parent,
                 angle=mechanism.link_angle[link] + pi / 2 + quarter * pi / 2,
-                clearance_mm=settings.servo_clearance_mm,
-                wall_mm=settings.wall_mm,
+                settings=settings,
             )
             for carrier, link in ((joint.parent, joint.parent_link), (joint.child, joint.link))
             for quarter in range(4)
@@ -176,7 +186,7 @@ def _cost(
         cost += outside.area + _HIT_COST * outside.intersection(ways[body]).area
         taken = [d.cradle if d.carrier == body else d.seat for d in placed if body in (d.carrier, d.driven)]
         to_come = [  # the least area that a servo joint like this one needs at another joint
-            ShapelyPoint(joint.at).buffer(servo_joint.recess_radius_mm + servo_joint.wall_mm)
+            ShapelyPoint(joint.at).buffer(servo_joint.seat_radius_mm)
             for joint in mechanism.joints[servo_joint.number + 1 :]
             if body in (joint.parent, joint.child)
         ]

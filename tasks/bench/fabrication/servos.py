@@ -22,7 +22,9 @@ with its origin on the shaft at the top of the case. The case reaches from u = -
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import radians
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
+
+from tasks.bench.fabrication.kit_error import KitError
 
 KG_CM = 9.80665 * 0.01  # A kilogram-force centimetre [N·m]
 
@@ -30,29 +32,25 @@ Sense = Literal[1, -1]
 HornKind = Literal["disc", "cross"]
 
 
-class ServoError(ValueError):
-    """The library has no such servo or horn, or a measurement is far from the library's."""
-
-
 @dataclass(frozen=True)
 class Horn:
-    """The horn on the spline, to which the driven part is screwed. :data:`MEASURES` describes its dimensions."""
+    """The horn on the spline, to which the driven part is screwed; what a caliper can measure of it, in words."""
 
     kind: HornKind
-    long_mm: float
-    short_mm: float
-    arm_width_mm: float
-    hub_mm: float
-    top_mm: float
-    thickness_mm: float
-    screw_radius_mm: float
+    long_mm: Annotated[float, "horn: from the shaft to the tips of the long arms; radius of a disc"]
+    short_mm: Annotated[float, "horn: from the shaft to the tips of the short arms; radius of a disc"]
+    arm_width_mm: Annotated[float, "horn: width of an arm; diameter of a disc"]
+    hub_mm: Annotated[float, "horn: diameter of the hub"]
+    top_mm: Annotated[float, "horn: from the top of the case to the face that the part is screwed to, when mounted"]
+    thickness_mm: Annotated[float, "horn: thickness of the disc or the arms"]
+    screw_radius_mm: Annotated[float, "horn: from the shaft to the screw holes"]
     screw_mm: float  # diameter of the four screws that hold the driven part
     screw_name: str
 
 
 @dataclass(frozen=True)
 class Servo:
-    """A model of servo. :data:`MEASURES` describes the dimensions of its case and ears."""
+    """A model of servo; what a caliper can measure of its case and ears, in words."""
 
     name: str
     voltage_v: float  # voltage of the torque and the speed
@@ -63,23 +61,24 @@ class Servo:
     max_pulse_us: float
     travel_rad: float  # angle between the shortest and the longest pulse
     sense: Sense  # 1 if longer pulses turn the horn counter-clockwise, seen from above the horn
-    length_mm: float
-    width_mm: float
-    height_mm: float
-    shaft_offset_mm: float
-    ear_length_mm: float
-    ear_bottom_mm: float
-    ear_thickness_mm: float
-    hole_span_mm: float
-    hole_pitch_mm: float
+    length_mm: Annotated[float, "case: length without ears"]
+    width_mm: Annotated[float, "case: width"]
+    height_mm: Annotated[float, "case: from bottom to top, including the tower around the shaft"]
+    shaft_offset_mm: Annotated[float, "case: from the near end to the middle of the shaft"]
+    ear_length_mm: Annotated[float, "ears: length over both"]
+    ear_bottom_mm: Annotated[float, "ears: from the bottom of the case to their underside"]
+    ear_thickness_mm: Annotated[float, "ears: thickness"]
+    hole_span_mm: Annotated[float, "ears: between the holes of one and the other, along the case"]
+    hole_pitch_mm: Annotated[float, "ears: between the two holes of one; 0 if it has one hole"]
     ear_screw_mm: float  # diameter of the screws through the ears
     ear_screw_name: str
     spline_mm: float  # outer diameter of the spline
     spline_teeth: int
     centre_screw_mm: float  # diameter of the screw that holds the horn on the spline
     centre_screw_name: str
-    cable_width_mm: float
-    """Width of the flat cable, which leaves near the bottom at one end; clones differ in which end."""
+    cable_width_mm: Annotated[
+        float, "flat cable: width"
+    ]  # which leaves near the bottom at one end, clones differ in which
     horns: tuple[Horn, ...]  # horns for its spline, the preferred one first
 
     @property
@@ -147,49 +146,36 @@ def _column(table: Mapping[str, tuple[Any, ...]], column: int) -> dict[str, Any]
 _DISC, _CROSS, _HS85MG_CROSS, _MG90S_CROSS, _MICRO_DISC = (Horn(**_column(_HORN_TABLE, i)) for i in range(5))
 _HORNS = ((_DISC, _CROSS), (_HS85MG_CROSS, _MICRO_DISC), (_MG90S_CROSS, _MICRO_DISC), (_DISC, _CROSS))
 
-SERVOS = {name: Servo(horns=_HORNS[i], **_column(_TABLE, i)) for i, name in enumerate(_TABLE["name"])}
-
-MEASURES: dict[str, str] = {
-    "length_mm": "case: length without ears",
-    "width_mm": "case: width",
-    "height_mm": "case: from bottom to top, including the tower around the shaft",
-    "shaft_offset_mm": "case: from the near end to the middle of the shaft",
-    "ear_length_mm": "ears: length over both",
-    "ear_bottom_mm": "ears: from the bottom of the case to their underside",
-    "ear_thickness_mm": "ears: thickness",
-    "hole_span_mm": "ears: between the holes of one and the other, along the case",
-    "hole_pitch_mm": "ears: between the two holes of one; 0 if it has one hole",
-    "cable_width_mm": "flat cable: width",
-    "long_mm": "horn: from the shaft to the tips of the long arms; radius of a disc",
-    "short_mm": "horn: from the shaft to the tips of the short arms; radius of a disc",
-    "arm_width_mm": "horn: width of an arm; diameter of a disc",
-    "hub_mm": "horn: diameter of the hub",
-    "top_mm": "horn: from the top of the case to the face that the part is screwed to, when mounted",
-    "thickness_mm": "horn: thickness of the disc or the arms",
-    "screw_radius_mm": "horn: from the shaft to the screw holes",
+DIMENSIONS: dict[str, str] = {
+    name: hint.__metadata__[0]
+    for kind in (Servo, Horn)
+    for name, hint in get_type_hints(kind, include_extras=True).items()
+    if hasattr(hint, "__metadata__")
 }
 """Dimensions that decide the fit and that a caliper can measure: fields of a servo and its horn, in words."""
+
+SERVOS = {name: Servo(horns=_HORNS[i], **_column(_TABLE, i)) for i, name in enumerate(_TABLE["name"])}
 
 _MOST_OFF = 2.0  # factor between a measurement and the library; a larger one is a typing error or another unit
 
 
 def as_measured(name: str, kind: HornKind, measured: Mapping[str, float]) -> Servo:
-    """Return a servo of the library with one horn and the user's measurements [mm] by the names in :data:`MEASURES`.
+    """Return a servo of the library with one horn and the user's measurements [mm] by the names in :data:`DIMENSIONS`.
 
-    Raises ServoError if there is no such servo or horn, or a measurement is far from the library's.
+    Raises KitError if there is no such servo or horn, or a measurement is far from the library's.
     """
     if name not in SERVOS:
-        raise ServoError(f"servo {name!r} is unknown, expected one of {', '.join(sorted(SERVOS))}")
+        raise KitError(f"servo {name!r} is unknown, expected one of {', '.join(sorted(SERVOS))}")
     servo = SERVOS[name]
     horn = next((horn for horn in servo.horns if horn.kind == kind), None)
     if horn is None:
         kinds = " or ".join(horn.kind for horn in servo.horns)
-        raise ServoError(f"servo {name}: no {kind} horn, expected {kinds}")
+        raise KitError(f"servo {name}: no {kind} horn, expected {kinds}")
     of_horn = {field.name for field in fields(Horn)}
     for key, value in measured.items():
         usual = getattr(horn if key in of_horn else servo, key)
         if key != "hole_pitch_mm" and not usual / _MOST_OFF <= value <= usual * _MOST_OFF:
-            raise ServoError(
+            raise KitError(
                 f"servo {name}: {key} is {value:g}, expected {usual / _MOST_OFF:g} to {usual * _MOST_OFF:g} mm"
             )
     horn_changes: dict[str, Any] = {key: value for key, value in measured.items() if key in of_horn}

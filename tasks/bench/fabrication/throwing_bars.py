@@ -10,15 +10,12 @@ do not change the moment of inertia per mass.
 from dataclasses import dataclass
 from math import pi, sqrt
 
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings, ThrowingKit
 
 _LEAST_INFILL, _INFILL_STEP = 0.1, 0.01  # that print well; that slicers take
 _TAG_SHARES = (0.75, 0.375)  # of a bar's width and length that a tag takes, so that white paper surrounds both tags
 _LARGEST_TAG_MM = 40.0
-
-
-class BarError(ValueError):
-    """A bar can't be made. The message names it and says what to change."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class ThrowingBar:
 def throwing_bars(throwing: ThrowingKit, settings: KitSettings, fluid_density: float) -> tuple[ThrowingBar, ...]:
     """Compute a kit's bars, from the shortest on, for a fluid in the tank of a density [kg/m³].
 
-    Raises BarError if a bar is too narrow for its rods, or too heavy or too light at any infill.
+    Raises KitError if a bar is too narrow for its rods, or too heavy or too light at any infill.
     """
     return tuple(_bar(length, throwing, settings, fluid_density) for length in sorted(throwing.lengths))
 
@@ -54,7 +51,7 @@ def _bar(length_scale: float, throwing: ThrowingKit, settings: KitSettings, flui
     bore = settings.rod_mm + settings.rod_clearance_mm
     gyration = sqrt((width**2 + length**2) / 12)
     if min(width, length - 2 * gyration) < bore + 2 * settings.wall_mm:
-        raise BarError(
+        raise KitError(
             f"{name}: {width:.0f} × {length:.0f} mm is too small for rods of {settings.rod_mm:g} mm: expected thinner "
             f"rods (kit.rod_mm), a larger scale (kit.scale_mm_per_m), or another length (throwing.lengths)"
         )
@@ -70,7 +67,7 @@ def _bar(length_scale: float, throwing: ThrowingKit, settings: KitSettings, flui
     if not _LEAST_INFILL <= infill <= 1:
         weight = "heavy" if infill < _LEAST_INFILL else "light"
         advice = "thinner rods (kit.rod_mm)" if weight == "heavy" else "thicker rods (kit.rod_mm)"
-        raise BarError(
+        raise KitError(
             f"{name}: too {weight} at any infill: it needs {infill:.0%}, expected {_LEAST_INFILL:.0%} to 100%. Use "
             f"{advice}, another kit.thickness_mm or another throwing.density_ratio"
         )

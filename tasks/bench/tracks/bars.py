@@ -6,7 +6,7 @@ import numpy as np
 
 from tasks.arrays import Float64, Labels
 from tasks.bench.tracks.conventions import Tracks
-from tasks.bench.tracks.table import TrackError, first, length_scale_of, metres
+from tasks.bench.tracks.table import TrackError, first
 from tasks.design import GENES
 
 _TOLERANCE = 0.1  # share by which a bar may differ from a link
@@ -41,7 +41,7 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[str, float]:
     repeated, n = np.unique(bars.throw, return_counts=True)
     if (k := first(n > 1)) is not None:
         raise TrackedBarError(f"throw {repeated[k]} has {n[k]} bars, expected one: give each throw a number of its own")
-    unit = metres(tracks) / length_scale_of(tracks)
+    unit = tracks.simulated_unit
     length, width = bars.length * unit, bars.width * unit
     gene = next(gene for gene in GENES if gene.name == "length_scale")
     least, greatest = gene.low * (1 - _TOLERANCE), gene.high * (1 + _TOLERANCE)
@@ -50,7 +50,7 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[str, float]:
             f"throw {bars.throw[k]}: the bar's length is {bars.length[k]:g} {tracks.length_unit}, or {length[k]:.3g} m "
             f"of simulation: expected {gene.low:g} to {gene.high:g} m of simulation, which is "
             f"{gene.low / unit:.4g} to {gene.high / unit:.4g} {tracks.length_unit}: check tracks.length_unit (m or "
-            f"mm), tracks.scaling and tracks.metres_per_metre"
+            f"mm) and tracks.metres_per_metre"
         )
     area = length * width
     if (k := first(np.abs(area - 1) > _TOLERANCE)) is not None:

@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from tasks.parameters import Parameters
+from tasks.world import froude_time
 
 
 class Tracks(Parameters):
@@ -20,11 +21,8 @@ class Tracks(Parameters):
     """SHA-256 of the tracks. The command line adds it, and refuses a file with another one."""
     bars_sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$")
     """SHA-256 of the file of bars, added likewise."""
-    scaling: Literal["froude", "none"] = "froude"
-    """"froude": lengths and times are those of a bench, smaller than the simulation's. "none": they are the
-    simulation's."""
     metres_per_metre: float = Field(default=0.07, gt=0.0, le=10.0)
-    """Bench metres per metre of simulation, as in fabrication; unused where scaling is none. [P]"""
+    """Bench metres per metre of simulation, as in fabrication; times follow by Froude's law. [P]"""
     length_unit: Literal["m", "mm"] = "m"
     """Unit of x, y, lengths and widths."""
     angle_unit: Literal["rad", "deg"] = "rad"
@@ -40,3 +38,13 @@ class Tracks(Parameters):
     """How residuals are found: "rollouts" fits a model of the medium to the poses at several frames, smooths what it
     leaves, and adds throws in the model; "steps" smooths the poses alone, and underestimates what dies out between two
     frames."""
+
+    @property
+    def simulated_unit(self) -> float:
+        """The file's unit of length [m of simulation]."""
+        return (1e-3 if self.length_unit == "mm" else 1.0) / self.metres_per_metre
+
+    @property
+    def time_scale(self) -> float:
+        """The file's seconds per second of simulation."""
+        return froude_time(self.metres_per_metre)

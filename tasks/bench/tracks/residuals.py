@@ -11,7 +11,7 @@ from tasks.bench.tracks.bars import Bars, TrackedBarError, length_scales
 from tasks.bench.tracks.conventions import Tracks
 from tasks.bench.tracks.free_fall import Fall, check_falls
 from tasks.bench.tracks.smoother import Measured, Smoothed, smooth
-from tasks.bench.tracks.table import Paths, TrackError, TrackTable, length_scale_of, paths_of
+from tasks.bench.tracks.table import Paths, TrackError, TrackTable, paths_of
 from tasks.bench.tracks.tank_contacts import contacts, n_contacts
 from tasks.residual import MeasuredTransitions, observe_states, robot_ranges, simulate_throws
 from tasks.residual.throws import Starts, even_starts
@@ -65,7 +65,7 @@ def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics
     lowest = float(paths.pose[..., 1].min())
     if lowest > 0:
         raise TrackError(
-            f"no bar's centre is ever below the waterline, y = 0 (lowest: {lowest * length_scale_of(tracks):.3g} m): "
+            f"no bar's centre is ever below the waterline, y = 0 (lowest: {lowest * tracks.metres_per_metre:.3g} m): "
             f"there is no water to learn from: check that y is 0 at the waterline"
         )
     return paths

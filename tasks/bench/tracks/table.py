@@ -10,7 +10,6 @@ from tasks.arrays import Bools, Float64, Int64, Labels
 from tasks.bench.tracks.angles import folds, jumps
 from tasks.bench.tracks.conventions import Tracks
 from tasks.bench.tracks.repeats import repeated
-from tasks.world import froude_time
 
 MIN_FRAMES = 4  # of a throw: velocity and acceleration and one frame to judge them by
 _MAX_SPEED = 60.0  # between two frames [m/s of simulation]; the paper's throws begin at up to 28
@@ -69,21 +68,6 @@ def first(wrong: Bools) -> int | None:
     return int(found[0]) if len(found) else None
 
 
-def metres(tracks: Tracks) -> float:
-    """Return the file's unit of length [m]."""
-    return 1e-3 if tracks.length_unit == "mm" else 1.0
-
-
-def length_scale_of(tracks: Tracks) -> float:
-    """Return the file's metres per metre of simulation."""
-    return tracks.metres_per_metre if tracks.scaling == "froude" else 1.0
-
-
-def time_scale_of(tracks: Tracks) -> float:
-    """Return the file's seconds per second of simulation."""
-    return froude_time(length_scale_of(tracks))
-
-
 def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     """Check a table, drop repeated frames, unwrap angles, and convert it to the simulation.
 
@@ -108,14 +92,14 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     last = np.array([len(throw_rows) - 1 for throw_rows in rows])
     frame = np.minimum(np.arange(n_frames), last[:, None])
     at = np.stack([throw_rows[frame[k]] for k, throw_rows in enumerate(rows)])
-    unit, turn = metres(tracks) / length_scale_of(tracks), np.pi / 180 if tracks.angle_unit == "deg" else 1.0
-    scale = np.array([unit, unit, turn])
+    unit = tracks.simulated_unit
+    scale = np.array([unit, unit, np.pi / 180 if tracks.angle_unit == "deg" else 1.0])
     sign = 1 - 2 * np.array([tracks.flip_x, tracks.flip_y, tracks.flip_angle])
     pose = of_rows[at] * (scale * sign)
     given = (table.x_sd, table.y_sd, table.angle_sd)
     stated = [deviation for deviation in given if deviation is not None]
     sd = np.stack(stated, axis=1)[at] * scale if len(stated) == len(given) else None
-    time = (table.time[at] - table.time[at[:, :1]]) / time_scale_of(tracks)
+    time = (table.time[at] - table.time[at[:, :1]]) / tracks.time_scale
     n_repeated = len(of_rows) - sum(map(len, rows))
     paths = _unwrapped(Paths(labels, time, pose, sd, np.arange(n_frames) <= last[:, None], n_repeated))
     _check_moves(paths)
@@ -214,7 +198,7 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
     speed = np.hypot(step[..., 0], step[..., 1]) / np.where(both, interval, 1.0)
     if len(at := np.argwhere(both & (speed > _MAX_SPEED))):
         k, frame = at[0]
-        to_bench = length_scale_of(tracks) / time_scale_of(tracks)
+        to_bench = tracks.metres_per_metre / tracks.time_scale
         raise TrackError(
             f"throw {paths.throw[k]}, frame {frame + 1}: the bar jumps at {speed[k, frame] * to_bench:.3g} m/s of the "
             f"file, expected at most {_MAX_SPEED * to_bench:.3g} m/s: remove frames that were tracked wrongly, give "
@@ -241,7 +225,6 @@ def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
     """
     if paths.pose.shape[1] < MIN_FRAMES + 1:
         return
-    unit = metres(tracks) / length_scale_of(tracks)
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), 1.0)
     before, after = 1 / interval[:, 1:-2], 1 / interval[:, 2:-1]  # of the frames 2 to n - 3
     template = np.stack([before, -before - after, after], axis=-1)[:, :, None]
@@ -250,7 +233,7 @@ def _check_frames_apart(paths: Paths, tracks: Tracks) -> None:
     reversed_ = (into * out < 0) & (np.abs(into) > SLOWEST_CONTACT)
     bounces = reversed_[..., 0] | (reversed_[..., 1] & (into[..., 1] < 0))
     for verb, axes, least, size, symbol in (
-        ("jumps", slice(2), _LEAST_AWAY, unit, f" {tracks.length_unit}"),
+        ("jumps", slice(2), _LEAST_AWAY, tracks.simulated_unit, f" {tracks.length_unit}"),
         ("turns", slice(2, 3), _LEAST_TURN, np.pi / 180, "°"),
     ):
         velocity = np.diff(paths.pose[..., axes], axis=1) / interval[..., None]

@@ -176,7 +176,7 @@ def edit(folder: Path, file: str, old: str, new: str) -> None:
         (("tracks-bars.csv", "mass", "weight"), (), "tracks-bars.csv: expected the columns throw, length, width, mass"),
         (("tracks-bars.csv", "\n1,", "\n9,"), (), "tracks-bars.csv: throw 1 has no bar: give its length"),
         (("tracks.csv", "\n1,0.016667,", "\n1,0.000000,"), (), "throw 1, frame 1: the time is 0 s after 0 s"),
-        ((), ("tracks.length_unit=mm",), "check tracks.length_unit (m or mm), tracks.scaling and"),
+        ((), ("tracks.length_unit=mm",), "check tracks.length_unit (m or mm) and"),
         ((), ("tracks.flip_y=true",), "bars fall freely upward"),
         ((), ("tracks.angle_unit=deg",), "expected more than 6.28: check tracks.angle_unit"),
         ((), ("throws.source=simulation",), "throws.source is simulation and tracks names a file"),

@@ -11,8 +11,8 @@ from shapely import unary_union
 from tasks.bench.fabrication.assembly import Assembly, assemble
 from tasks.bench.fabrication.built_bodies import moved
 from tasks.bench.fabrication.checks import KitFinding, findings_of
-from tasks.bench.fabrication.features import KitError
 from tasks.bench.fabrication.kit import build_kit
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.parts import mesh_of, on_bed
 from tasks.design import N_LINKS, DesignError, Designs

@@ -167,7 +167,7 @@ def test_the_sense_of_a_servo(kit, outer, side, shaft_z):
 
 def test_the_shaft_of_a_servo_points_to_its_horn(kit):
     for servo_joint in kit.servo_joints:  # away from the carrier's back
-        for where in servo_joint.sides(1):
+        for where in servo_joint.sides:
             horn = next(b for b in kit.bought if b.name == f"horn of joint {servo_joint.joint.link}, {where}").solid
             carrier = part(kit, f"part-{servo_joint.carrier + 1}-{where}").solid
             points_up = horn.bounding_box().center().Z > carrier.bounding_box().center().Z

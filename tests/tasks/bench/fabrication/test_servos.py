@@ -5,10 +5,11 @@ from build123d import GeomType
 from pydantic import ValidationError
 
 from tasks.bench.fabrication.built_bodies import mechanism_of
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.parts import Gauge, gauges_of
 from tasks.bench.fabrication.servo_joints import servo_joints_of
-from tasks.bench.fabrication.servos import SERVOS, ServoError, as_measured
+from tasks.bench.fabrication.servos import SERVOS, as_measured
 
 pytestmark = pytest.mark.slow
 
@@ -25,7 +26,7 @@ def test_measurements_replace_the_library():
         ("ds3225", {"length_mm": 401}, r"length_mm is 401, expected 20 to 80 mm"),
         ("ds3225", {"top_mm": 0}, r"top_mm is 0, expected 3\.75 to 15 mm"),
     ):
-        with pytest.raises(ServoError, match=said):
+        with pytest.raises(KitError, match=said):
             as_measured(name, "disc", measured)
 
 
@@ -38,7 +39,7 @@ def floors(gauge: Gauge) -> list[float]:
 @pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
 def test_the_gauges_of_every_servo(crane, servo, horn):
     settings, case = KitSettings(servo=servo, horn=horn), as_measured(servo, horn, {})
-    gauges = gauges_of(servo_joints_of(mechanism_of(crane, settings), case, settings), settings)
+    gauges = gauges_of(servo_joints_of(mechanism_of(crane, settings), case, settings))
     # The ears lie on one gauge's plate, so that the case's top is flush; the horn lies on the floor of the other. The
     # gap between both is that of the layers.
     plate, recess = map(floors, gauges)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings, ThrowingKit
 from tasks.bench.fabrication.parts import plate_of
-from tasks.bench.fabrication.throwing_bars import BarError, throwing_bars
+from tasks.bench.fabrication.throwing_bars import throwing_bars
 
 KIT = KitSettings()
 BARS = throwing_bars(ThrowingKit(), KIT, 1000.0)
@@ -42,5 +43,5 @@ def test_the_mass_of_a_plate_is_that_of_its_solid():
     ],
 )
 def test_bars_that_can_not_be_made(throwing, kit, message):
-    with pytest.raises(BarError, match=message):
+    with pytest.raises(KitError, match=message):
         throwing_bars(ThrowingKit(**throwing), KitSettings(**kit), 1000.0)

@@ -18,7 +18,9 @@ def test_a_link_has_an_area_of_a_square_metre() -> None:
     in_mm = replace(BARS, length=1000 * BARS.length, width=1000 * BARS.width)
     assert length_scales(in_mm, Tracks(file="tracks.csv", length_unit="mm")) == pytest.approx({"3": 1.0, "7": 2.0})
     unscaled = replace(BARS, length=np.array([1.0, 2.0]), width=np.array([1.0, 0.5]))
-    assert length_scales(unscaled, Tracks(file="tracks.csv", scaling="none")) == pytest.approx({"3": 1.0, "7": 2.0})
+    assert length_scales(unscaled, Tracks(file="tracks.csv", metres_per_metre=1.0)) == pytest.approx(
+        {"3": 1.0, "7": 2.0}
+    )
 
 
 @pytest.mark.parametrize(
@@ -27,7 +29,7 @@ def test_a_link_has_an_area_of_a_square_metre() -> None:
         (
             {"length": [70.0, 0.14]},
             "throw 3: the bar's length is 70 m, or 1e+03 m of simulation: expected 1 to 3 m of simulation, which is "
-            "0.07 to 0.21 m: check tracks.length_unit (m or mm), tracks.scaling and tracks.metres_per_metre",
+            "0.07 to 0.21 m: check tracks.length_unit (m or mm) and tracks.metres_per_metre",
         ),
         ({"length": [0.07, np.nan]}, "throw 7: the bar's length is nan, expected a number above 0"),
         ({"mass": [0.1, 0.0]}, "throw 7: the bar's mass is 0, expected a number above 0"),

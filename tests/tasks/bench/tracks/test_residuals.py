@@ -96,7 +96,9 @@ def test_rows_at_contacts_are_left_out_and_counted() -> None:
     throw = np.repeat(np.arange(4), 17)
     table = TrackTable(throw, np.tile(time, 4), x.ravel(), np.tile(9 - 4.9 * time**2, 4), np.zeros(4 * 17))
     bars = Bars(np.arange(4), np.ones(4), np.ones(4), np.ones(4))
-    found, report = residual_transitions(table, bars, Tracks(file="tracks.csv", scaling="none", fit="steps"), PHYSICS)
+    found, report = residual_transitions(
+        table, bars, Tracks(file="tracks.csv", metres_per_metre=1.0, fit="steps"), PHYSICS
+    )
     assert report.n_contacts == 1
     # Steps of 1/60 s that touch the three frames on each side of the contact: 6 intervals of 1/16 s, and both ends.
     assert report.n_rows_at_contacts == pytest.approx(6 / 16 * 60, abs=2)

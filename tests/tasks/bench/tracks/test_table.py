@@ -32,7 +32,7 @@ def test_froude_scales_lengths_and_times(table: TrackTable) -> None:
     paths = paths_of(table, PLAIN)
     np.testing.assert_allclose(paths.pose[0, :, 0], table.x[table.throw == 0] / SCALE)
     np.testing.assert_allclose(paths.time[0], table.time[table.throw == 0] / froude_time(SCALE))
-    unscaled = paths_of(table, Tracks(file="tracks.csv", scaling="none"))
+    unscaled = paths_of(table, Tracks(file="tracks.csv", metres_per_metre=1.0))
     np.testing.assert_allclose(unscaled.pose[0, :, 0], table.x[table.throw == 0])
     np.testing.assert_allclose(unscaled.time[0], table.time[table.throw == 0])
 
