@@ -28,9 +28,9 @@ def own_work() -> list[Benchmark]:
     _shares(environments[0], 0)  # compiles
     figures = []
     for environment in environments:
-        own, with_tables = zip(*(_shares(environment, trial) for trial in range(N_ROUNDS)), strict=True)
+        search, with_tables = zip(*(_shares(environment, trial) for trial in range(N_ROUNDS)), strict=True)
         where, unit = f"{type(environment).__name__}, d = {environment.depth:g}", "% of a generation"
-        figures.append(Benchmark(f"AFPO's own work, {where}", own, unit, 10.0))
+        figures.append(Benchmark(f"AFPO's own work, {where}", search, unit, 10.0))
         figures.append(Benchmark(f"AFPO's own work and its tables, {where}", with_tables, unit))
     return figures
 
@@ -67,5 +67,5 @@ def _shares(environment: Environment, trial: int) -> tuple[float, float]:
     encode_arrays(population.arrays(), schema="population", version=1, producer="bench")
     encode_table(history, schema="history", version=1, producer="bench")
     encoding = time.perf_counter() - start
-    own = evolved - (evaluating - packing)
-    return 100 * own / evolved, 100 * (own + encoding) / (evolved + encoding)
+    search = evolved - (evaluating - packing)
+    return 100 * search / evolved, 100 * (search + encoding) / (evolved + encoding)

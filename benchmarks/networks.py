@@ -158,8 +158,8 @@ def wetted() -> list[Benchmark]:
     ratios = []
     for _ in range(N_ROUNDS):
         theirs, ours = (
-            min(seconds(lambda e=one: simulate(designs(), e, n_settle=20, n_measure=120)) for _ in range(5))
-            for one in (plain, wet)
+            min(seconds(lambda e=environment: simulate(designs(), e, n_settle=20, n_measure=120)) for _ in range(5))
+            for environment in (plain, wet)
         )
         ratios.append(ours / theirs)
     return [Benchmark("a generation in wetted networks, 4 of 2 × 48, over plain ones", ratios, "times", 1.3)]

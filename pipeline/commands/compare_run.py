@@ -109,12 +109,12 @@ def _predicted(robot: BuiltRobot, study: Study) -> BuiltRobot:
     """Predict the robot's speed by the ensemble of a study, whose physics may differ from the kit's."""
     rollout, physics = study.settings.rollout, study.settings.physics
     at = ResidualSlush(depth=robot.environment.depth, ensemble=study.ensemble())
-    found = simulate(robot.design, at, n_settle=rollout.n_settle, n_measure=rollout.n_measure, physics=physics)
-    if not np.isfinite(found.displacement).all():
+    rollouts = simulate(robot.design, at, n_settle=rollout.n_settle, n_measure=rollout.n_measure, physics=physics)
+    if not np.isfinite(rollouts.displacement).all():
         raise PuddleError(f"the robot diverges under the ensemble of study {study.name}: there is no prediction")
     seconds = rollout.n_measure * physics.time_step * robot.time_scale
     by = f"the ensemble of study {study.name}"
-    return replace(robot, predicted=found.displacement[:, 0] * robot.scale / seconds, predicted_by=by)
+    return replace(robot, predicted=rollouts.displacement[:, 0] * robot.scale / seconds, predicted_by=by)
 
 
 def read_kit(folder: Path, study: Study | None = None) -> BuiltRobot:
@@ -169,15 +169,15 @@ def _read_tracks(path: Path) -> dict[int, LinkPath]:
     table = np.column_stack((rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
         raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")
-    found: dict[int, LinkPath] = {}
+    paths: dict[int, LinkPath] = {}
     links = {str(link): link for link in range(N_LINKS)}
     for link in np.unique(rows.throw):
         if str(link) not in links:
             raise PuddleError(
                 f"{path}: throw {link}: expected links of a robot, 0 to {N_LINKS - 1}: track the run with --robot"
             )
-        own = table[rows.throw == link]
-        if (late := np.flatnonzero(np.diff(own[:, 0]) <= 0)).size:
+        time, x, y, angle = table[rows.throw == link].T
+        if (late := np.flatnonzero(np.diff(time) <= 0)).size:
             raise PuddleError(f"{path}: link {link}, frame {late[0] + 1}: expected a time later than the frame before")
-        found[links[str(link)]] = (own[:, 0], np.column_stack((own[:, 1:3], np.unwrap(own[:, 3]))))
-    return found
+        paths[links[str(link)]] = (time, np.column_stack((x, y, np.unwrap(angle))))
+    return paths

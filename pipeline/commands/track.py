@@ -35,5 +35,5 @@ def track(
     It ends when the bar leaves the rectangle, is not seen for 0.1 s, or rests.
     """
     require_vision()
-    found = load(Markers, markers, overrides or ())
-    to_stdout(*track_videos(videos, found, out, TrackOptions(lens, slowdown, robot)))
+    tags = load(Markers, markers, overrides or ())
+    to_stdout(*track_videos(videos, tags, out, TrackOptions(lens, slowdown, robot)))

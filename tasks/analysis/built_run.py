@@ -145,15 +145,15 @@ def gait_frequency(time: Float64, angle: Float64, expected: float) -> float:
     tried, share = expected * _FREQUENCIES, angle.var(axis=0) / max(angle.var(axis=0).sum(), 1e-12)
     power = [lombscargle(time, of, 2 * np.pi * tried, normalize=True, floating_mean=True) for of in angle.T]
     explained = share @ np.array(power)
-    found = float(tried[int(np.argmax(explained))])
+    frequency = float(tried[int(np.argmax(explained))])
     slack = max(_MOST_OFF, 0.5 / (expected * (time[-1] - time[0])))
-    if explained.max() < _LEAST_SWING or abs(found / expected - 1) > slack:
-        swings = f"swing at {found:.2f} Hz" if explained.max() >= _LEAST_SWING else "do not swing"
+    if explained.max() < _LEAST_SWING or abs(frequency / expected - 1) > slack:
+        swings = f"swing at {frequency:.2f} Hz" if explained.max() >= _LEAST_SWING else "do not swing"
         raise RunError(
             f"its joints {swings}, expected a gait of {expected:.2f} Hz: is this the kit of another robot, does the "
             f"video play slower than life (--slowdown), or do servos not turn?"
         )
-    return found
+    return frequency
 
 
 def steady_speed(time: Float64, x: Float64, period: float) -> float:
@@ -163,5 +163,5 @@ def steady_speed(time: Float64, x: Float64, period: float) -> float:
 
 
 def _steady_run(time: Float64, x: Float64, angle: Float64, frequency: float) -> SteadyRun:
-    found = gait_frequency(time, angle, frequency)
-    return SteadyRun(time - time[0], x - x[0], steady_speed(time, x, 1 / frequency), found)
+    measured = gait_frequency(time, angle, frequency)
+    return SteadyRun(time - time[0], x - x[0], steady_speed(time, x, 1 / frequency), measured)

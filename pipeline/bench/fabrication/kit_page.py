@@ -1,9 +1,10 @@
 """index.html of a kit: the robot, the findings, the files to download, and the physics of the scale."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.resources import files
 from math import degrees
+from typing import Any
 
 import numpy as np
 import yaml
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 from pipeline.bench.fabrication.bench import Bench
 from pipeline.bench.fabrication.source import DesignSource
 from pipeline.report.document import absent, document, inline_svg
-from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, NothingToDraw, finish
+from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Missing, NothingToDraw, finish
 from tasks.bench.fabrication.checks import KitFinding
 from tasks.bench.fabrication.kit import Kit
 from tasks.bench.fabrication.kit_settings import FabricationSettings
@@ -24,9 +25,16 @@ from tasks.world import Physics
 _JOINT_COLOURS = ("#1c6fb8", "#dd7700", "#1d6b3c", "#7d4aa5", "#c2185b")
 _SHOWN = 20.0  # of the timeline [s]
 _POLICY = "img-src 'self' data: file:"  # the kit's pictures lie beside its page
-TEMPLATES = Environment(
+_TEMPLATES = Environment(
     loader=PackageLoader("pipeline.bench.fabrication", ""), autoescape=True, undefined=StrictUndefined
 )
+
+
+def render_page(template: str, title: str, **values: Any) -> bytes:
+    """Render a template of this folder with its style."""
+    body = _TEMPLATES.get_template(template).render(title=title, **values)
+    css = files("pipeline.bench.fabrication").joinpath("kit.css").read_text("utf-8")
+    return document(title=title, policy=_POLICY, body=body, css=f"\n{css}").encode()
 
 
 def render_kit(
@@ -38,11 +46,12 @@ def render_kit(
     findings: Sequence[KitFinding],
     physics: Physics,
     folder: str,
-) -> str:
+) -> bytes:
     """Render the page of a kit in a folder of that name, with the findings of kit and bench, faults first."""
-    title = f"A robot to build: {source.name}"
     density = getattr(source.settings.target_medium, "density", 0.0)
-    body = TEMPLATES.get_template("kit.html").render(
+    return render_page(
+        "kit.html",
+        f"A robot to build: {source.name}",
         kit=kit,
         bench=bench,
         source=source,
@@ -51,22 +60,17 @@ def render_kit(
         findings=findings,
         verdict=verdict(findings),
         figures={
-            "torque": _figure(
-                finish("torque", "Loads of the joints and limits of the servo", partial(_torque, kit, bench))
-            ),
-            "timeline": _figure(finish("gait", "Joint angles on the bench", partial(_timeline, bench))),
+            "torque": _figure("torque", "Loads of the joints and limits of the servo", partial(_torque, kit, bench)),
+            "timeline": _figure("gait", "Joint angles on the bench", partial(_timeline, bench)),
         },
         measures=DIMENSIONS,
         physics=physics,
         frequency=float(source.design.frequency[0]),
         simulated_share=physics.link_density / density if density > 0 else None,
         settings_yaml=yaml.safe_dump(choices.model_dump(mode="json"), sort_keys=False),
-        title=title,
         folder=folder,
         degrees=degrees,
     )
-    css = files("pipeline.bench.fabrication").joinpath("kit.css").read_text("utf-8")
-    return document(title=title, policy=_POLICY, body=body, css=f"\n{css}")
 
 
 def verdict(findings: Sequence[KitFinding]) -> str:
@@ -80,7 +84,8 @@ def verdict(findings: Sequence[KitFinding]) -> str:
     return "No fault and no warning was found."
 
 
-def _figure(drawing: Drawing | Missing) -> Markup:
+def _figure(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Markup:
+    drawing = finish(name, title, draw)
     if isinstance(drawing, Missing):
         return absent(drawing.title, drawing.reason)
     figure = Markup('<figure id="{}"><h3>{}</h3>{}<figcaption>{}</figcaption></figure>')

@@ -56,8 +56,7 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
         files["calibration.yaml"] = calibration_yaml(bench.calibration, heading)
         if bench.timeline is not None:
             files["timeline.json"] = timeline_json(bench.timeline, bench.calibration)
-    page = render_kit(kit, bench, source, choices, findings=findings, physics=physics, folder=place.name)
-    files["index.html"] = page.encode()
+    files["index.html"] = render_kit(kit, bench, source, choices, findings=findings, physics=physics, folder=place.name)
     metrics = {"n_faults": float(n_faults), "mass_g": kit.mass_g, "submerged_share": bench.floating.sealed_share}
     metrics |= {f"margin.joint_{load.joint}": load.margin for load in bench.loads if isfinite(load.margin)}
     media = environments.media_of(source.settings, source.settings.target)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.resources import files as package_files
 from math import degrees, tau
 from pathlib import Path
 
@@ -26,7 +25,6 @@ THROWING_KIT = FolderKind("a throwing kit", "puddle.throwing-kit", 1, "throwing-
 MARKERS = "markers.yaml"
 
 _HEADING = "# Which tag is where. Measure the tank's tags between their centres and correct x, y and waterline [m].\n"
-_POLICY = "img-src 'self' data: file:"  # the kit's pictures lie beside its page
 
 
 def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
@@ -38,10 +36,9 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     require_cad()
     place = THROWING_KIT.check_place(out)
     from pipeline.bench.fabrication.exports import stl
-    from pipeline.bench.fabrication.kit_page import TEMPLATES
+    from pipeline.bench.fabrication.kit_page import render_page
     from pipeline.bench.vision.markers_file import markers_of
     from pipeline.bench.vision.tag_sheets import tag_sheets
-    from pipeline.report.document import document
     from tasks.bench.fabrication.parts import mesh_of, plate_of
 
     settings, throwing = choices.kit, choices.throwing
@@ -57,7 +54,9 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
         made[f"print/{bar.name}.stl"] = stl(mesh_of(plate_of(bar, settings)).on_bed())
     made["bars.csv"], made["throws.csv"] = _bars_csv(bars), csv_table(_THROW, throws)
     made[MARKERS] = (_HEADING + yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)).encode()
-    body = TEMPLATES.get_template("throwing_kit.html").render(
+    made["index.html"] = render_page(
+        "throwing_kit.html",
+        "Bars to throw",
         bars=bars,
         throws=throws,
         kit=settings,
@@ -67,8 +66,6 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
         rod_length=settings.pitch_mm + settings.thickness_mm,
         smallest_module=min(bar.tag_mm for bar in bars) / 6,
     )
-    css = package_files("pipeline.bench.fabrication").joinpath("kit.css").read_text("utf-8")
-    made["index.html"] = document(title="Bars to throw", policy=_POLICY, body=body, css=f"\n{css}").encode()
     preserved = write_folder(THROWING_KIT, place, made, {"settings": choices.model_dump(mode="json")})
     lines = [
         f"{bar.name}: {bar.length_mm:.0f} × {bar.width_mm:.0f} mm, {bar.mass_g:.0f} g: two plates of {bar.plate_g:.0f} "

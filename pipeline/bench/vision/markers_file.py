@@ -3,8 +3,10 @@
 from collections.abc import Iterator, Sequence
 from typing import Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from tasks.arrays import Bools, Float64
 from tasks.bench.fabrication.kit_settings import ThrowingKit
 from tasks.bench.fabrication.throwing_bars import ThrowingBar
 from tasks.design.genes import N_LINKS
@@ -45,6 +47,12 @@ class TankTags(Parameters):
                 f"{min(heights):g} and {max(heights):g}"
             )
         return self
+
+    def zone_holds(self, points: Float64) -> Bools:
+        """Return which of (n, 2) points over the waterline [m] are in the rectangle of the tags."""
+        corners = np.array([(tag.x, tag.y - self.waterline) for tag in self.corners])
+        inside: Bools = ((points >= corners.min(axis=0)) & (points <= corners.max(axis=0))).all(axis=1)
+        return inside
 
 
 class BarTag(Parameters):

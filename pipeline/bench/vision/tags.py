@@ -1,6 +1,5 @@
 """Tags and boards of OpenCV: found in pictures, and drawn to be printed."""
 
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -35,31 +34,23 @@ def modules(name: Dictionary, number: int) -> Bools:
     return np.asarray(dictionary.generateImageMarker(number, n) == 0)
 
 
-@dataclass(frozen=True)
-class Detector:
-    """Finds the tags of a markers file in pictures."""
+def find_tags(markers: Markers, picture: Picture, where: str) -> dict[int, Float64]:
+    """Return (4, 2) corners [px] of the tags of a markers file in a picture, by their numbers.
 
-    markers: Markers
-
-    def find(self, picture: Picture, where: str) -> dict[int, Float64]:
-        """Return (4, 2) corners [px] by the number of their tag.
-
-        Raises PuddleError if a tag of the markers file is seen twice; it names ``where``, the file and frame.
-        """
-        corners, numbers, _ = _detector_of(self.markers.dictionary).detectMarkers(picture)
-        known = set(self.markers.numbers())
-        found: dict[int, Float64] = {}
-        for number, four in zip([] if numbers is None else numbers.ravel().tolist(), corners, strict=True):
-            if number not in known:
-                continue
-            if number in found:
-                at = " and ".join("({:.0f}, {:.0f})".format(*seen.mean(axis=0)) for seen in (found[number], four[0]))
-                raise PuddleError(
-                    f"{where}: tag {number} is seen twice, at {at} px: expected every tag once. Remove the second one "
-                    f"from the picture, or give it another number in the markers file."
-                )
-            found[number] = four[0].astype(np.float64)
-        return found
+    Raises PuddleError if a tag is seen twice; it names ``where``, the file and frame.
+    """
+    corners, numbers, _ = _detector_of(markers.dictionary).detectMarkers(picture)
+    known, seen = set(markers.numbers()), dict[int, Float64]()
+    for number, (four,) in zip([] if numbers is None else numbers.ravel().tolist(), corners, strict=True):
+        if number in seen:
+            at = " and ".join("({:.0f}, {:.0f})".format(*tag.mean(axis=0)) for tag in (seen[number], four))
+            raise PuddleError(
+                f"{where}: tag {number} is seen twice, at {at} px: expected every tag once. Remove the second one "
+                f"from the picture, or give it another number in the markers file."
+            )
+        if number in known:
+            seen[number] = four.astype(np.float64)
+    return seen
 
 
 def _shift(view: dict[int, Float64], other: dict[int, Float64]) -> float:

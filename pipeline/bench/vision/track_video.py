@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.bench.vision import require_vision
 from pipeline.bench.vision.markers_file import Markers, TaggedBar
-from pipeline.bench.vision.tags import Detector, lens_of_board
+from pipeline.bench.vision.tags import find_tags, lens_of_board
 from pipeline.bench.vision.video import frames
 from pipeline.errors import PuddleError
 from tasks.arrays import Float64, Ints
@@ -114,9 +114,9 @@ def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> t
 
 def _sightings(path: Path, markers: Markers, slowdown: float) -> _Sightings:
     """Find the tags of a video."""
-    detector, time, tags, size = Detector(markers), [], [], (0, 0)
+    time, tags, size = [], [], (0, 0)
     for frame in frames(path):
-        tags.append(detector.find(frame.picture, f"{path}: frame {frame.index}"))
+        tags.append(find_tags(markers, frame.picture, f"{path}: frame {frame.index}"))
         time.append(frame.time / slowdown)
         size = (frame.picture.shape[1], frame.picture.shape[0])
     if not any(tags):
@@ -133,36 +133,30 @@ def _tracked(
 ) -> VideoTracks:
     """Calibrate a video and fit the poses of its bars."""
     plane, misfit = _plane(sightings, markers, lens)
-    over_water = np.array([(tag.x, tag.y - markers.tank.waterline) for tag in markers.tank.corners])
-    low, high = over_water.min(axis=0), over_water.max(axis=0)
     time, n_frames = sightings.time, len(sightings.time)
-    interval = float(np.median(np.diff(time))) if n_frames > 1 else 1.0
     bars = markers.robot.bars() if options.robot else markers.bars
     fits = [_fits(sightings, plane, bar) for bar in bars]
-    found = [fit for of_bar in fits for fit in of_bar.values()]
+    every = [fit for of_bar in fits for fit in of_bar.values()]
     typical, noise = 0.0, np.zeros(0)
-    if found:
-        typical, noise = corner_noise(np.array([fit.chi2 for fit in found]), np.array([fit.freedom for fit in found]))
+    if every:
+        typical, noise = corner_noise(np.array([fit.chi2 for fit in every]), np.array([fit.freedom for fit in every]))
     noises = iter(noise.tolist())
     tracks: list[Track] = []
     for number, (bar, of_bar) in enumerate(zip(bars, fits, strict=True)):
-        pose, deviation, px = np.zeros((n_frames, 3)), np.zeros((n_frames, 3)), np.zeros(n_frames)
+        pose, deviation, n_seen = np.zeros((n_frames, 3)), np.zeros((n_frames, 3)), np.zeros(n_frames, int)
         for frame, fit in of_bar.items():
-            pose[frame], px[frame] = fit.pose, next(noises)
-            deviation[frame] = px[frame] * np.sqrt(np.diag(fit.covariance))
-        n_shown = [sum(tag.number in tags for tag in bar.tags) for tags in sightings.tags]
-        n_seen = np.array([n if frame in of_bar else 0 for frame, n in enumerate(n_shown)])
+            pose[frame], deviation[frame] = fit.pose, next(noises) * np.sqrt(np.diag(fit.covariance))
+            n_seen[frame] = sum(tag.number in sightings.tags[frame] for tag in bar.tags)
         if options.robot:
             spans: list[Ints] = [np.flatnonzero(n_seen)] if n_seen.any() else []
         else:
-            in_zone = ((pose[:, :2] >= low) & (pose[:, :2] <= high)).all(axis=1)
-            spans = throw_spans(time, n_seen, pose, in_zone, n_tags=len(bar.tags))
+            spans = throw_spans(time, n_seen, pose, markers.tank.zone_holds(pose[:, :2]), n_tags=len(bar.tags))
         for span in spans:
             unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
             n_lost = int(span[-1] - span[0] + 1 - len(span))
             lost_from_sight = bool((n_seen[span[-1] + 1 : span[-1] + 2] == 0).any())
-            noise_of_span = np.median(deviation[span], axis=0)
-            again = repeated(unwrapped, noise_of_span, _MOVES * noise_of_span)
+            usual = np.median(deviation[span], axis=0)
+            again = repeated(unwrapped, usual, _MOVES * usual)
             new = span[~again]
             if len(new) >= MIN_FRAMES or options.robot:
                 counts = n_lost, int(again.sum()), lost_from_sight
@@ -170,36 +164,34 @@ def _tracked(
     if not options.robot:
         tracks.sort(key=lambda track: track.time[0])
         tracks = [replace(track, throw=first + i) for i, track in enumerate(tracks)]
+    interval = float(np.median(np.diff(time))) if n_frames > 1 else 1.0
     lines = _lines(sightings, tracks, misfit, typical, interval, options.robot)
     return VideoTracks(sightings.path, sightings.size, plane, tuple(tracks), 1 / interval, tuple(lines))
 
 
 def _lines(
     sightings: _Sightings, tracks: Sequence[Track], misfit: float, noise: float, interval: float, robot: bool
-) -> list[str]:
+) -> Iterator[str]:
+    """Say what a video holds."""
     name = sightings.path.name
     n_dropped = int(np.maximum(np.round(np.diff(sightings.time) / interval) - 1, 0).sum())
-    seen, lost = sum(len(track.time) for track in tracks), sum(track.n_lost for track in tracks)
-    lines = [
+    yield (
         f"{name}: {len(sightings.time)} frames, {1 / interval:.1f} per second, {n_dropped} dropped by the camera; the "
         f"tank's tags fit to {misfit:.2f} px"
-    ]
+    )
     if tracks:
+        seen, lost = sum(len(track.time) for track in tracks), sum(track.n_lost for track in tracks)
         x, _, angle = np.median(np.concatenate([track.deviation for track in tracks]), axis=0)
-        what = f"{len(tracks)} links" if robot else f"{len(tracks)} throws"
-        lines.append(
-            f"{name}: {what}, lost in {lost} of {seen + lost} frames ({lost / (seen + lost):.1%}); corners to "
-            f"{noise:.2f} px, which is {1000 * x:.2f} mm and {np.degrees(angle):.2f}°"
+        yield (
+            f"{name}: {len(tracks)} {'links' if robot else 'throws'}, lost in {lost} of {seen + lost} frames "
+            f"({lost / (seen + lost):.1%}); corners to {noise:.2f} px, which is {1000 * x:.2f} mm and "
+            f"{np.degrees(angle):.2f}°"
         )
     if n_repeated := sum(track.n_repeated for track in tracks):
         rate = 1 / np.median(np.concatenate([np.diff(track.time) for track in tracks]))
-        lines.append(
-            f"{name}: {n_repeated} frames repeat the one before, and are left out: {rate:.1f} a second are new"
-        )
-    n_cut = sum(track.lost_from_sight for track in tracks)
-    if n_cut and not robot:
-        lines.append(f"{name}: in {n_cut} throws the bar is lost from sight inside the tank; see the check film")
-    return lines
+        yield f"{name}: {n_repeated} frames repeat the one before, and are left out: {rate:.1f} a second are new"
+    if (n_cut := sum(track.lost_from_sight for track in tracks)) and not robot:
+        yield f"{name}: in {n_cut} throws the bar is lost from sight inside the tank; see the check film"
 
 
 def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, BarPose]:
@@ -207,20 +199,20 @@ def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, 
 
     A bar whose corners do not fit the markers file is refused: the fits would take what is wrong there for noise.
     """
-    own = {tag.number: tag_corners(tag.size, tag.across, tag.along) for tag in bar.tags}
+    on_bar = {tag.number: tag_corners(tag.size, tag.across, tag.along) for tag in bar.tags}
     fits: dict[int, BarPose] = {}
     for frame, tags in enumerate(sightings.tags):
-        if shown := [number for number in own if number in tags]:
+        if shown := [number for number in on_bar if number in tags]:
             pixels = np.concatenate([tags[number] for number in shown])
-            corners = np.concatenate([own[number] for number in shown])
+            corners = np.concatenate([on_bar[number] for number in shown])
             fit = fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels))
             if np.isfinite([*fit.pose, fit.chi2]).all():
                 fits[frame] = fit
     squares = [fit.chi2 / fit.freedom for fit in fits.values()]
     if squares and (misfit := float(np.sqrt(np.median(squares)))) > _MOST_BAR_MISFIT_PX:
         for tags in sightings.tags:
-            _check_turns(sightings.path, {number: tags[number] for number in own if number in tags})
-        numbers = " and ".join(str(tag.number) for tag in bar.tags)
+            _check_turns(sightings.path, {number: tags[number] for number in on_bar if number in tags})
+        numbers = " and ".join(map(str, on_bar))
         raise PuddleError(
             f"{sightings.path}: the bar with tag{'s' * (len(bar.tags) > 1)} {numbers}: its corners fit to {misfit:.1f} "
             f"px, expected at most {_MOST_BAR_MISFIT_PX:g}: measure its tags (size, along, across) and the tank's (x, "
@@ -231,11 +223,11 @@ def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, 
 
 def _check_turns(path: Path, tags: Mapping[int, Float64]) -> None:
     """Refuse tags of one thing that are turned against each other by quarter turns."""
-    up = [(number, complex(*(four[0] + four[1] - four[2] - four[3]))) for number, four in tags.items()]
-    for number, direction in up[1:]:
-        if n_quarters := abs(round(np.angle(direction / up[0][1]) / (np.pi / 2))):
+    (first, upright), *others = ((number, complex(*(a + b - c - d))) for number, (a, b, c, d) in tags.items())
+    for number, up in others:
+        if n_quarters := abs(round(np.angle(up / upright) / (np.pi / 2))):
             raise PuddleError(
-                f"{path}: tag {number} is turned by {90 * n_quarters}° against tag {up[0][0]}: expected both upright: "
+                f"{path}: tag {number} is turned by {90 * n_quarters}° against tag {first}: expected both upright: "
                 f"glue them as their sheet shows"
             )
 
@@ -267,7 +259,7 @@ def _still(sightings: _Sightings, number: int) -> Float64:
     path = sightings.path
     where = [i for i, tags in enumerate(sightings.tags) if number in tags]
     if not where:
-        others = ", ".join(str(one) for one in sorted({one for tags in sightings.tags for one in tags}))
+        others = ", ".join(map(str, sorted({other for tags in sightings.tags for other in tags})))
         raise PuddleError(
             f"{path}: tag {number} of the tank is seen in no frame of 0 to {len(sightings.tags) - 1}; seen are "
             f"{others}. All corner tags must be in the picture, upright, flat and lit."

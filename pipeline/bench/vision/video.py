@@ -37,7 +37,7 @@ def frames(path: Path, *, colour: bool = False) -> Iterator[Frame]:
             if not container.streams.video:
                 raise PuddleError(f"{path}: expected a video, found no pictures. Is it the right file?")
             likely = container.streams.best("video").index  # a file may begin with a thumbnail
-            stream = max(container.streams.video, key=lambda one: (one.frames, one.index == likely))
+            stream = max(container.streams.video, key=lambda stream: (stream.frames, stream.index == likely))
             stream.thread_type = "AUTO"
             for frame in container.decode(stream):
                 if frame.time is None or frame.time <= before:

@@ -171,8 +171,8 @@ def servo_joints_of(mechanism: Mechanism, servo: Servo, settings: KitSettings) -
 
 def _ways(mechanism: Mechanism, body: int) -> BaseGeometry:
     """Return the area that other parts of the same layer sweep, relative to a part."""
-    own = mechanism.bodies[body]
-    others = [other for other in mechanism.bodies if other.index != body and (other.depth - own.depth) % 2 == 0]
+    depth = mechanism.bodies[body].depth
+    others = [other for other in mechanism.bodies if other.index != body and (other.depth - depth) % 2 == 0]
     return unary_union([swept(o.outline, mechanism.poses_in_range(body, o.index)[::2]) for o in others])
 
 

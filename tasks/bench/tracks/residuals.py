@@ -174,8 +174,8 @@ def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[
         coordinate.mean[..., 0] += pose[:, n_frames:, axis]
         coordinate.mean[..., 1] += velocity[:, n_frames:, axis]
     fastest = np.abs(first.transitions.state[:, 3:]).max(axis=0)
-    found = np.stack([coordinate.mean[:, :-1, 1] for coordinate in smoothed], axis=-1)
-    return model, smoothed, (np.abs(found) <= fastest).all(axis=-1)
+    velocity = np.stack([coordinate.mean[:, :-1, 1] for coordinate in smoothed], axis=-1)
+    return model, smoothed, (np.abs(velocity) <= fastest).all(axis=-1)
 
 
 def _thrown_further(medium: Medium, tracked: MeasuredTransitions, physics: Physics) -> MeasuredTransitions:

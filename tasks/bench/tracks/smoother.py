@@ -102,12 +102,12 @@ def _most_likely(chain: _Chain, weight: Float64, before: _Noise) -> _Noise:
         factor = max(squares / n, np.square(_LEAST_NOISE / before.measurement))
         return factor, log_variances + n * np.log(factor) + squares / factor
 
-    found = scipy.optimize.minimize_scalar(
+    likeliest = scipy.optimize.minimize_scalar(
         lambda at: innovations(at)[1], bounds=_LOG_RATIOS[chain.sd is None], options={"xatol": 0.05}
     )
-    factor = np.sqrt(innovations(float(found.x))[0])
+    factor = np.sqrt(innovations(float(likeliest.x))[0])
     measurement = float(before.measurement * factor)
-    return _Noise(float(np.exp(found.x)) * measurement, measurement)
+    return _Noise(float(np.exp(likeliest.x)) * measurement, measurement)
 
 
 class _Chain:
@@ -227,8 +227,7 @@ def _between(covariances: Float64, with_next: Float64, rank: Ints) -> Float64:
     ``covariances`` and ``with_next`` are those of all points, ``rank`` (n, n_times) the points that are asked for.
     """
     n, n_times = rank.shape
-    rows, gain = np.arange(n), np.zeros_like(covariances)
-    found = np.zeros((n, n_times, 3, 3))
+    rows, gain, between = np.arange(n), np.zeros_like(covariances), np.zeros((n, n_times, 3, 3))
     solved = np.linalg.solve(covariances[:, 1:] + 1e-18 * _I, with_next[:, :-1].transpose(0, 1, 3, 2))
     gain[:, :-1] = solved.transpose(0, 1, 3, 2)
     for i in range(n_times - 1):
@@ -238,5 +237,5 @@ def _between(covariances: Float64, with_next: Float64, rank: Ints) -> Float64:
             on = at < rank[:, i + 1]
             product = np.where(on[:, None, None], product @ gain[rows, at], product)
             at = at + on
-        found[:, i] = product @ covariances[rows, rank[:, i + 1]]
-    return found
+        between[:, i] = product @ covariances[rows, rank[:, i + 1]]
+    return between

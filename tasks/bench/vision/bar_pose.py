@@ -45,8 +45,7 @@ def fit_bar(corners: Float64, seen: Float64, jacobian: Float64) -> BarPose:
         seen: (n_corners, 2) where they are seen in the plane [m].
         jacobian: (n_corners, 2, 2) derivatives of ``seen`` with respect to pixels [m/px].
     """
-    own, there = corners - corners.mean(axis=0), seen - seen.mean(axis=0)
-    (a, b), (c, d) = own.T @ there
+    (a, b), (c, d) = (corners - corners.mean(axis=0)).T @ (seen - seen.mean(axis=0))
     angle = np.arctan2(b - c, a + d)
     weights = np.linalg.inv(jacobian @ jacobian.swapaxes(1, 2))
     pose = np.array([*(seen.mean(axis=0) - _turned(corners.mean(axis=0, keepdims=True), angle)[0]), angle])

@@ -13,7 +13,8 @@ import yaml
 from command_line import call as called
 from command_line import refused
 
-from pipeline.bench.vision.tags import Detector
+from pipeline.bench.vision import track_video
+from pipeline.bench.vision.tags import find_tags
 from pipeline.bench.vision.video import film, frames
 from tasks.bench.vision.bar_pose import fit_bar, tag_corners
 
@@ -70,11 +71,11 @@ def test_the_angle_of_a_small_tag_has_no_bias(tank):
     from synthetic_tank import sticker
 
     size, scene = tank.scene.markers.robot.tag_size, tank.scene
-    plane, detector = scene.camera.plane(scene.middle, scene.behind), Detector(tank.scene.markers)
+    plane = scene.camera.plane(scene.middle, scene.behind)
     at, errors = tag_corners(size, 0.0, 0.0), []
     for degrees in range(0, 360, 10):
         pose = np.array([0.2, 0.1, np.radians(degrees)])
-        pixels = detector.find(scene.shot([(sticker(20, size), pose[None])]), "picture")[20]
+        pixels = find_tags(scene.markers, scene.shot([(sticker(20, size), pose[None])]), "picture")[20]
         turned = fit_bar(at, plane.metres(pixels), plane.jacobian(pixels)).pose[2] - pose[2]
         errors.append(np.degrees((turned + np.pi) % (2 * np.pi) - np.pi))
     assert np.sqrt(np.square(errors).mean()) < 0.5
@@ -240,22 +241,20 @@ def test_videos_that_are_refused(tank, tmp_path, make, message, capsys):
 @pytest.mark.parametrize(("n_quarters", "turn"), [(1, 90), (2, 180), (3, 90)])
 def test_tags_that_are_turned_are_named(tank, tmp_path, monkeypatch, thing, n_quarters, turn, capsys):
     """Detectors give corners from the upper left of a tag on; those of a turned tag begin at another corner."""
-    markers, find = tank.scene.markers, Detector.find
+    markers = tank.scene.markers
     things = markers.bars[0].tags if thing == "bar" else markers.tank.corners
     turned, other = things[-1].number, things[0].number
 
-    def found(detector, picture, where):
-        tags = find(detector, picture, where)
+    def found(*arguments):
+        tags = find_tags(*arguments)
         return {n: np.roll(four, n_quarters, axis=0) if n == turned else four for n, four in tags.items()}
 
-    monkeypatch.setattr(Detector, "find", found)
+    monkeypatch.setattr(track_video, "find_tags", found)
     assert track(tank, tmp_path / "tracks.csv") == 2
     assert f"tag {turned} is turned by {turn}° against tag {other}: expected both upright" in capsys.readouterr().err
 
 
 def test_a_pose_that_is_not_finite_is_one_frame_lost(tank, tmp_path, monkeypatch):
-    from pipeline.bench.vision import track_video
-
     fits = iter(range(10_000))
 
     def fit(*arguments):
