@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -223,9 +224,9 @@ def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, 
 
 def _check_turns(path: Path, tags: Mapping[int, Float64]) -> None:
     """Refuse tags of one thing that are turned against each other by quarter turns."""
-    (first, upright), *others = ((number, complex(*(a + b - c - d))) for number, (a, b, c, d) in tags.items())
-    for number, up in others:
-        if n_quarters := abs(round(np.angle(up / upright) / (np.pi / 2))):
+    up = {number: complex(*(a + b - c - d)) for number, (a, b, c, d) in tags.items()}
+    for (first, upright), (number, direction) in product([*up.items()][:1], up.items()):
+        if n_quarters := abs(round(np.angle(direction / upright) / (np.pi / 2))):
             raise PuddleError(
                 f"{path}: tag {number} is turned by {90 * n_quarters}° against tag {first}: expected both upright: "
                 f"glue them as their sheet shows"

@@ -48,7 +48,7 @@ def test_throws_are_spread_over_what_bars_and_tank_allow(kit):
 
 @pytest.mark.parametrize("sheet", ["faces", "tags", "board"])
 def test_printed_tags_have_the_size_that_the_markers_file_says(kit, sheet):
-    from pipeline.bench.vision.tags import Detector
+    from pipeline.bench.vision.tags import find_tags
 
     markers = load(Markers, kit / "markers.yaml")
     picture = Image.open(kit / f"{sheet}.png")
@@ -56,7 +56,7 @@ def test_printed_tags_have_the_size_that_the_markers_file_says(kit, sheet):
     per_mm = 300 / 25.4
     size = {tag.number: tag.size for bar in (*markers.bars, *markers.robot.bars()) for tag in bar.tags}
     size |= {tag.number: markers.tank.tag_size for tag in markers.tank.corners}
-    found = Detector(markers).find(np.array(picture.convert("L")), sheet)
+    found = find_tags(markers, np.array(picture.convert("L")), sheet)
     expected = {
         "faces": {tag.number for bar in markers.bars for tag in bar.tags},
         "tags": {tag.number for tag in markers.tank.corners} | set(range(20, 26)),
