@@ -58,25 +58,26 @@ Place = tuple[float, float]
 Put = Callable[[Iterable[Sequence[float]]], Float64]  # from the robot's plane to the sheet [mm]
 
 
-def visible_edges(robot: Shape) -> list[Float64]:
-    """Return the edges of a robot that are seen from ahead, above and the right, as (n, 2) points."""
-    middle = robot.bounding_box().center()
-    eye = tuple(np.array([middle.X, middle.Y, middle.Z]) + _TO_EYE)
-    seen, _ = robot.project_to_viewport(eye, (0, 1, 0), middle)
-    shares = np.linspace(0, 1, _POINTS_PER_EDGE)
-    return [np.array([(p.X, p.Y) for p in map(edge.position_at, shares)]) for edge in seen]
-
-
 def perspective(robot: Shape) -> bytes:
     """Draw a robot as SVG."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(9, 6), facecolor="white")
-        axes = figure.add_axes((0.02, 0.02, 0.96, 0.96))
-        axes.axis("off")
-        axes.set_aspect("equal")
-        axes.add_collection(LineCollection(visible_edges(robot), colors=INK, linewidths=0.8))
-        axes.autoscale()
+        _view(figure, (0.02, 0.02, 0.96, 0.96), robot, 0.8)
         return _saved(figure, "svg")
+
+
+def _view(figure: Figure, place: tuple[float, float, float, float], robot: Shape, width: float) -> None:
+    """Draw the edges of a robot that are seen from ahead, above and the right, as lines of a width [points]."""
+    middle = robot.bounding_box().center()
+    eye = tuple(np.array([middle.X, middle.Y, middle.Z]) + _TO_EYE)
+    seen, _ = robot.project_to_viewport(eye, (0, 1, 0), middle)
+    shares = np.linspace(0, 1, _POINTS_PER_EDGE)
+    edges = [np.array([(p.X, p.Y) for p in map(edge.position_at, shares)]) for edge in seen]
+    axes = figure.add_axes(place)
+    axes.axis("off")
+    axes.set_aspect("equal")
+    axes.add_collection(LineCollection(edges, colors=INK, linewidths=width))
+    axes.autoscale()
 
 
 def _saved(figure: Figure, form: str) -> bytes:
@@ -99,11 +100,7 @@ def assembly_drawing(kit: Kit, robot: Shape, title: str, n_faults: int) -> dict[
         lower_end = _tables(sheet, kit, n_faults)
         bottom = _MARGIN_MM + _TITLE_HEIGHT_MM + 4
         view = (_COLUMN_X_MM / width, bottom / height, _COLUMN_WIDTH_MM / width, (lower_end - bottom - 6) / height)
-        axes = figure.add_axes(view)
-        axes.axis("off")
-        axes.set_aspect("equal")
-        axes.add_collection(LineCollection(visible_edges(robot), colors=INK, linewidths=0.4))
-        axes.autoscale()
+        _view(figure, view, robot, 0.4)
         _title_block(sheet, kit, title, scale)
         return {form: _saved(figure, form) for form in _CHANGING_METADATA}
 
@@ -210,36 +207,28 @@ def _joint(sheet: Axes, servo_joint: ServoJoint, kit: Kit, put: Put, scale: floa
 
 def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
     """Draw the table of joints and the warning of faults. Returns the lower end [mm]."""
-    x, y = _COLUMN_X_MM, _SHEET_MM[1] - 18.0
-    joints = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
+    x, y, widths = _COLUMN_X_MM, _SHEET_MM[1] - 18.0, (10, 25, 19, 18, 25, 25)
+    rows = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
     for servo_joint in kit.servo_joints:
         joint = servo_joint.joint
         turns, rest = f"part {joint.child + 1} on {joint.parent + 1}", f"{degrees(joint.rest_angle):+.1f}°"
         for side in servo_joint.sides:
             sense = "+ angle" if kit.direction(servo_joint, side) > 0 else "− angle"
             carrier = f"part {servo_joint.carrier + 1}, {side}"
-            joints.append([f"{joint.link}", turns, rest, f"±{degrees(joint.reach):.1f}°", carrier, sense])
-    y = _table(sheet, x, y, "Joints", joints, (10, 25, 19, 18, 25, 25))
+            rows.append([f"{joint.link}", turns, rest, f"±{degrees(joint.reach):.1f}°", carrier, sense])
+    sheet.text(x, y, "Joints", fontsize=9, weight="bold")
+    for number, row in enumerate(rows):
+        y -= 4.6
+        for cell, at, width in zip(row, x + np.cumsum((0, *widths)), widths, strict=False):
+            fits = int(width / 1.24)
+            text = cell if len(cell) <= fits else cell[: fits - 1] + "…"
+            sheet.text(at, y, text, fontsize=_SMALL, color=_GREY if number == 0 else INK)
+        if number == 0:
+            sheet.plot([x, x + sum(widths)], [y - 1.2, y - 1.2], color=_GREY, lw=0.4)
     if n_faults:
         y -= 8
         warning = f"{n_faults} fault{'s' * (n_faults > 1)} found. Read the findings before you print."
         sheet.text(x, y, warning, color=_RED, weight="bold")
-    return y
-
-
-def _table(sheet: Axes, x: float, y: float, title: str, rows: list[list[str]], widths: Sequence[float]) -> float:
-    """Draw a table downward from y. Returns its lower end [mm]."""
-    sheet.text(x, y, title, fontsize=9, weight="bold")
-    for number, row in enumerate(rows):
-        y -= 4.6
-        at = x
-        for cell, width in zip(row, widths, strict=True):
-            fits = int(width / 1.24)
-            text = cell if len(cell) <= fits else cell[: fits - 1] + "…"
-            sheet.text(at, y, text, fontsize=_SMALL, color=_GREY if number == 0 else INK)
-            at += width
-        if number == 0:
-            sheet.plot([x, x + sum(widths)], [y - 1.2, y - 1.2], color=_GREY, lw=0.4)
     return y
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import cos, degrees, radians, sin
+from math import cos, radians, sin
 from typing import Self
 
 import numpy as np
@@ -17,7 +17,7 @@ from tasks.bench.fabrication.built_bodies import RigidPart
 from tasks.bench.fabrication.features import Feature, cradle_features, horn_features, horn_screw, horn_seat_mm, plate_mm
 from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
-from tasks.bench.fabrication.profile import Profile, cradle_boss, horn_boss, polygon_of
+from tasks.bench.fabrication.profile import Profile, cradle_boss, horn_boss, location, polygon_of
 from tasks.bench.fabrication.servo_joints import ServoJoint
 from tasks.bench.fabrication.splits import MIN_PIECE_MM2, bed_mm, turn_to_fit
 from tasks.bench.fabrication.throwing_bars import ThrowingBar
@@ -237,7 +237,7 @@ def _servo(servo_joint: ServoJoint, face: float) -> Shape:
     ears = Location((middle, 0, ear_height)) * Box(servo.ear_length_mm, servo.width_mm, servo.ear_thickness_mm)
     stub = servo_joint.horn.top_mm - servo_joint.horn.thickness_mm
     hub = Location((0, 0, face + stub / 2)) * Cylinder(servo_joint.horn.hub_mm / 2, stub)
-    return _in_plane(case + ears + hub, servo_joint)
+    return location(servo_joint.joint.at, servo_joint.angle) * (case + ears + hub)
 
 
 def _horn(servo_joint: ServoJoint, face: float) -> Shape:
@@ -248,11 +248,7 @@ def _horn(servo_joint: ServoJoint, face: float) -> Shape:
     else:
         shape = Box(2 * horn.long_mm, horn.arm_width_mm, horn.thickness_mm)
         shape += Box(horn.arm_width_mm, 2 * horn.short_mm, horn.thickness_mm)
-    return _in_plane(Location((0, 0, height)) * shape, servo_joint)
-
-
-def _in_plane(shape: Shape, servo_joint: ServoJoint) -> Shape:
-    return Location((*servo_joint.joint.at, 0.0), (0.0, 0.0, degrees(servo_joint.angle))) * shape
+    return location(servo_joint.joint.at, servo_joint.angle) * (Location((0, 0, height)) * shape)
 
 
 def mesh_of(shape: Shape) -> Mesh:

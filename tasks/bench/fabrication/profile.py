@@ -36,7 +36,7 @@ def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: i
     Raises KitError if the union has several pieces.
     """
     sketches: list[Sketch] = [
-        _at(mechanism.link_centre[link], mechanism.link_angle[link]) * Rectangle(*mechanism.link_size[link])
+        location(mechanism.link_centre[link], mechanism.link_angle[link]) * Rectangle(*mechanism.link_size[link])
         for link in mechanism.bodies[body].links
     ]
     sketches += [cradle_boss(servo_joint) for servo_joint in servo_joints if servo_joint.carrier == body]
@@ -61,15 +61,16 @@ def cradle_boss(servo_joint: ServoJoint) -> Sketch:
     servo, wall = servo_joint.servo, servo_joint.settings.wall_mm
     middle = servo_joint.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
     length = servo.ear_length_mm + 2 * (servo_joint.settings.servo_clearance_mm + wall)
-    return _at(middle, servo_joint.angle) * RectangleRounded(length, servo_joint.cradle_width_mm, wall)
+    return location(middle, servo_joint.angle) * RectangleRounded(length, servo_joint.cradle_width_mm, wall)
 
 
 def horn_boss(servo_joint: ServoJoint) -> Sketch:
     """Draw the outline around a horn's recess, in place."""
-    return _at(servo_joint.joint.at, 0.0) * Circle(servo_joint.seat_radius_mm)
+    return location(servo_joint.joint.at, 0.0) * Circle(servo_joint.seat_radius_mm)
 
 
-def _at(place: Point, angle: float) -> Location:
+def location(place: Point, angle: float) -> Location:
+    """Return where something lies in the plane, turned by an angle [rad]."""
     return Location((*place, 0.0), (0.0, 0.0, degrees(angle)))
 
 

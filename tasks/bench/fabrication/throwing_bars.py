@@ -65,11 +65,10 @@ def _bar(length_scale: float, throwing: ThrowingKit, settings: KitSettings, flui
     needed = (mass - rods) / 2 / (settings.pla_density_g_cm3 / 1000)
     infill = round((needed - shell) / (volume - shell) / _INFILL_STEP) * _INFILL_STEP
     if not _LEAST_INFILL <= infill <= 1:
-        weight = "heavy" if infill < _LEAST_INFILL else "light"
-        advice = "thinner rods (kit.rod_mm)" if weight == "heavy" else "thicker rods (kit.rod_mm)"
+        weight, rods_of = ("heavy", "thinner") if infill < _LEAST_INFILL else ("light", "thicker")
         raise KitError(
             f"{name}: too {weight} at any infill: it needs {infill:.0%}, expected {_LEAST_INFILL:.0%} to 100%. Use "
-            f"{advice}, another kit.thickness_mm or another throwing.density_ratio"
+            f"{rods_of} rods (kit.rod_mm), another kit.thickness_mm or another throwing.density_ratio"
         )
     plate = settings.pla_density_g_cm3 * (shell + infill * (volume - shell)) / 1000
     tag = min(_TAG_SHARES[0] * width, _TAG_SHARES[1] * length, _LARGEST_TAG_MM)
