@@ -40,7 +40,7 @@ from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import N_LINKS
 from tasks.residual import arm_kind
 from tasks.simulation import simulate
-from tasks.world import Physics, ResidualSlush, froude_time
+from tasks.world import Physics, ResidualSlush
 
 
 @with_options
@@ -131,7 +131,7 @@ def read_kit(folder: Path, study: Study | None = None) -> BuiltRobot:
     rollout = RolloutSettings.model_validate(simulated["rollout"])
     scale, predicted = choices.kit.scale_mm_per_m / 1000, simulated["predicted"]
     physics = Physics.model_validate(simulated["physics"])
-    time_scale = froude_time(scale) if choices.scaling.law == "froude" else 1.0
+    time_scale = choices.scaling.time_scale(scale)
     seconds = rollout.n_measure * physics.time_step * time_scale
     target, media = simulated["environment"], simulated["media"]
     learned = isinstance(media[target], str)

@@ -37,24 +37,23 @@ _ERRORS_BY_BIT = (
 _VENDOR_ID, _PRODUCT_IDS = 0x1FFB, (0x0089, 0x008A, 0x008B, 0x008C)  # Maestros with 6, 12, 18 and 24 channels
 
 
-def two_bytes(value: int) -> bytes:
-    """Split a 14-bit number into its low and its high seven bits."""
-    return bytes((value & 0x7F, value >> 7))
+def command(code: int, channel: int, value: int) -> bytes:
+    """Encode a command to a channel with a 14-bit number, low seven bits first."""
+    return bytes((code, channel, value & 0x7F, value >> 7))
 
 
 def set_target(channel: int, pulse_us: float) -> bytes:
     """Encode the command that sets a channel's pulse [µs]; 0 stops it."""
-    return bytes((_SET_TARGET, channel)) + two_bytes(round(pulse_us * _UNITS_PER_US))
+    return command(_SET_TARGET, channel, round(pulse_us * _UNITS_PER_US))
 
 
-def set_speed(channel: int, rate_us: float) -> bytes:
-    """Encode a limit on a channel's rate [µs/s], rounded up so that the controller never lags behind the host."""
-    return bytes((_SET_SPEED, channel)) + two_bytes(min(math.ceil(rate_us / _SPEED_UNIT_US), (1 << 14) - 1))
+def set_limits(channel: int, rate_us: float) -> bytes:
+    """Encode a limit on a channel's rate [µs/s], rounded up, and none on its acceleration.
 
-
-def no_acceleration_limit(channel: int) -> bytes:
-    """Encode the removal of a channel's acceleration limit, which would make the controller lag behind the timeline."""
-    return bytes((_SET_ACCELERATION, channel)) + two_bytes(0)
+    So the controller never lags behind the host.
+    """
+    speed = min(math.ceil(rate_us / _SPEED_UNIT_US), (1 << 14) - 1)
+    return command(_SET_SPEED, channel, speed) + command(_SET_ACCELERATION, channel, 0)
 
 
 class Maestro:
@@ -70,7 +69,7 @@ class Maestro:
             self._port.reset_input_buffer()  # answers to an earlier program
         self._read_errors()  # reading clears them; a time-out since the last run is expected
         for channel, rate in rates_us.items():
-            self._write(set_speed(channel, rate) + no_acceleration_limit(channel))
+            self._write(set_limits(channel, rate))
         self.check()
 
     def send(self, pulses_us: Mapping[int, float]) -> None:

@@ -74,6 +74,15 @@ class KitSettings(Parameters):
         """Length of a pin: both layers and the gap."""
         return 2 * self.thickness_mm + self.layer_gap_mm
 
+    def shell_mm3(self, volume_mm3: float, area_mm2: float) -> float:
+        """Return how much of a print's volume is solid plastic along its surface."""
+        return min(volume_mm3, self.shell_mm * area_mm2)
+
+    def printed_g(self, volume_mm3: float, area_mm2: float, infill: float) -> float:
+        """Estimate the mass of a print from its shell and its infill."""
+        shell = self.shell_mm3(volume_mm3, area_mm2)
+        return self.pla_density_g_cm3 * (shell + infill * (volume_mm3 - shell)) / 1000
+
 
 class ThrowingKit(Parameters):
     """Settings of a kit of bars to throw, with the tank that they are thrown into."""

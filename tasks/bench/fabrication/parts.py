@@ -93,7 +93,7 @@ def _pieces(assembly: Assembly, body: RigidPart, side: str) -> list[Part]:
                 side=side,
                 solid=piece,
                 outline=outline,
-                mass_g=_printed_mass_g(piece, settings),
+                mass_g=settings.printed_g(piece.volume, piece.area, settings.infill),
                 face_down=any(feature.label == "pocket" for feature in features),
                 face_is_up=not assembly.placement(body.index, side)[0],
                 turn_deg=turn_to_fit(outline, bed_mm(settings)) or 0.0,
@@ -131,7 +131,7 @@ def _slice(name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: floa
     ]
     face = boss.faces()[0]
     (solid,) = _cut_out(name, Profile(face, polygon_of(face)), cut, settings.thickness_mm - bottom_mm, 1)
-    return Gauge(name, solid, _printed_mass_g(solid, settings))
+    return Gauge(name, solid, settings.printed_g(solid.volume, solid.area, settings.infill))
 
 
 def _cut_out(name: str, profile: Profile, features: Sequence[Feature], thickness: float, n_pieces: int) -> list[Solid]:
@@ -176,13 +176,6 @@ def _tool(feature: Feature) -> Solid:
 def _mismatch(solid: Solid, outline: Polygon) -> float:
     """Sum the distances of a solid's vertices from an outline."""
     return float(sum(outline.distance(ShapelyPoint(v.X, v.Y)) for v in solid.vertices()))
-
-
-def _printed_mass_g(solid: Solid, settings: KitSettings) -> float:
-    """Estimate the mass of a print from a solid shell along its surface and the infill."""
-    volume: float = solid.volume
-    shell = min(volume, settings.shell_mm * float(solid.area))
-    return settings.pla_density_g_cm3 * (shell + settings.infill * (volume - shell)) / 1000.0
 
 
 def bought_of(assembly: Assembly) -> list[BoughtPart]:

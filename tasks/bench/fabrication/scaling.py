@@ -36,6 +36,10 @@ class Scaling(Parameters):
     fluid_density: float = Field(default=1000.0, gt=100.0, le=5000.0)
     """Density of the fluid in the tank [kg/m³]; the paper's gel beads are nearly as dense as water. [P]"""
 
+    def time_scale(self, length: float) -> float:
+        """Return bench seconds per second of simulation, for bench metres per metre of simulation."""
+        return froude_time(length) if self.law == "froude" else 1.0
+
 
 @dataclass(frozen=True)
 class Scales:
@@ -58,8 +62,7 @@ class Scales:
 
 def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass_kg: float) -> Scales:
     """Compute the scales, from bench metres per metre of simulation and the masses of both robots."""
-    time = froude_time(length) if scaling.law == "froude" else 1.0
-    return Scales(length=length, time=time, mass=mass_kg / simulated_mass_kg)
+    return Scales(length=length, time=scaling.time_scale(length), mass=mass_kg / simulated_mass_kg)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def _bar(length_scale: float, throwing: ThrowingKit, settings: KitSettings, flui
     bores = 2 * pi * bore**2 / 4
     volume = (width * length - bores) * thick
     surface = 2 * (width * length - bores) + 2 * (width + length + pi * bore) * thick
-    shell = min(volume, settings.shell_mm * surface)
+    shell = settings.shell_mm3(volume, surface)
     needed = (mass - rods) / 2 / (settings.pla_density_g_cm3 / 1000)
     infill = round((needed - shell) / (volume - shell) / _INFILL_STEP) * _INFILL_STEP
     if not _LEAST_INFILL <= infill <= 1:
@@ -70,7 +70,7 @@ def _bar(length_scale: float, throwing: ThrowingKit, settings: KitSettings, flui
             f"{name}: too {weight} at any infill: it needs {infill:.0%}, expected {_LEAST_INFILL:.0%} to 100%. Use "
             f"{rods_of} rods (kit.rod_mm), another kit.thickness_mm or another throwing.density_ratio"
         )
-    plate = settings.pla_density_g_cm3 * (shell + infill * (volume - shell)) / 1000
+    plate = settings.printed_g(volume, surface, infill)
     tag = min(_TAG_SHARES[0] * width, _TAG_SHARES[1] * length, _LARGEST_TAG_MM)
     return ThrowingBar(
         name=name,

@@ -17,9 +17,8 @@ def test_bytes_of_the_users_guide():
     assert maestro.set_target(0, 1500.0) == bytes.fromhex("84 00 70 2E")  # section 5.c
     assert maestro.set_target(5, 0.0) == bytes.fromhex("84 05 00 00")  # section 5.e: a target of 0 stops the pulses
     # Section 5.e: a speed of 140 is 3.5 µs a ms: from 1000 to 1350 µs in 100 ms. Its example is 87 05 0C 01.
-    assert maestro.set_speed(5, 3500.0) == bytes.fromhex("87 05 0C 01")
-    assert maestro.set_speed(5, 3499.0) == bytes.fromhex("87 05 0C 01")  # never below the host's limit
-    assert maestro.no_acceleration_limit(5) == bytes.fromhex("89 05 00 00")
+    for rate in (3500.0, 3499.0):  # never below the host's limit
+        assert maestro.set_limits(5, rate) == bytes.fromhex("87 05 0C 01 89 05 00 00")
 
 
 def test_commands_reach_the_controller(plug):
