@@ -23,8 +23,9 @@ from pipeline.config.loading import load, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES, environments
-from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
+from pipeline.stages.collect import throws_among, throws_inputs
 from pipeline.stages.data_sets import NetworkId
+from pipeline.stages.reader import read_transitions
 from pipeline.stages.segments import SegmentSpec, compute_segment, population_of
 from pipeline.stages.train import member_files
 from pipeline.store.store import Store

@@ -20,8 +20,8 @@ from scipy.stats import ttest_ind
 
 from pipeline.report.render import as_markdown
 from tasks.analysis import paper
+from tasks.analysis.columns import column
 from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
-from tasks.analysis.registry import column
 from tasks.analysis.tables.transfer import papers_mean
 from tasks.residual import arm_kind
 

@@ -26,6 +26,7 @@ STAGE_SUMMARIES = {
     "collect": "Throw rectangles into the target: what the simulator gets wrong.",
     "train": "Train the ensemble of residual networks on the throws.",
     "evolve": "Evolve designs in every environment, at every depth.",
+    "adapt": "Evolve new controllers for champions in the target.",
     "transfer": "Score champions in the target, zero-shot and adapted.",
     "assess": "Compare the networks' predictions with true displacements.",
     "analyse": "Compute statistics, and where the networks hallucinate.",

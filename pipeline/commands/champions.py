@@ -7,7 +7,7 @@ from pipeline.commands.terminal import to_stderr, to_stdout
 from pipeline.errors import PuddleError
 from pipeline.report.render import as_text
 from pipeline.results.recorded_study import open_study
-from tasks.analysis.registry import scored_by
+from tasks.analysis.columns import scored_by
 from tasks.analysis.scores import ScoredTrial
 
 

@@ -13,8 +13,8 @@ from pipeline.report.render import MARKS, as_text
 from pipeline.results.comparisons import SAID_ABOVE, SUFFIXES, compare_arms, compare_studies, written_comparison
 from pipeline.results.recorded_study import open_study
 from pipeline.store import disk
+from tasks.analysis.columns import scored_by
 from tasks.analysis.comparison import Comparison
-from tasks.analysis.registry import scored_by
 
 _LINE_LENGTH = 110
 

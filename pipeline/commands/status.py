@@ -128,7 +128,7 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
         diverged: dict[str, str] = {}
         try:
             if with_diverged:
-                diverged = {one.label: what for one, what in stage.diverged(settings, results, store).items()}
+                diverged = {one.label: what for one, what in stage.diverged(settings, found.upstream, store).items()}
         except DamagedArtifact as damage:
             notes.append(str(damage))
         stages.append(

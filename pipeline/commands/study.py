@@ -17,15 +17,15 @@ from pipeline.report.page import scale_words
 from pipeline.report.render import as_text
 from pipeline.stages import STAGES, environments
 from pipeline.stages.collect import COLLECT
+from pipeline.stages.reader import read_study
 from pipeline.stages.report import PAGE
 from pipeline.stages.tracked import check_tracks
-from pipeline.stages.transfer import read_trials
 from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
 from pipeline.workflow.graph import ChainProgress, discard_items, require, results_of, survey
 from pipeline.workflow.progress import progress
 from pipeline.workflow.stage import AnyStage, Upstream
-from tasks.analysis.registry import scored_by
+from tasks.analysis.columns import scored_by
 from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 from tasks.discovery import FAILURES
 from tasks.evolution import require_search
@@ -108,7 +108,7 @@ def _run_stages(
 def _show_headline(settings: Settings, upstream: Upstream, store: Store, study: SettingsOptions) -> None:
     """Print the champions' displacement at the greatest depth, the page's address, and the commands to try next."""
     depth, objective = max(settings.grid.depths), settings.evolution.maximised
-    trials = read_trials(settings, upstream["transfer"], store)
+    trials = read_study(settings, upstream, store).trials
     rows = [row for row in transfer_rows(trials, settings.target) if row.depth == depth]
     to_stdout(
         objective.with_unit(

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, environments
-from pipeline.stages.assess import AssessmentId
+from pipeline.stages.data_sets import AssessmentId
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -41,6 +41,7 @@ _SECONDS_PER_ITEM = {  # to import torch and the like; else as below
 _SECONDS_PER_OTHER_ITEM = 0.05
 _BYTES = {  # of an item, and of each unit; networks and generations follow from their sizes
     "throws": (5e3, 7e3),
+    "champions": (0.0, 3e3),
     "designs": (15e3, 500.0),
     "analyses": (500e3, 0.0),
     "pictures": (1e4, 1.5e3),
@@ -203,7 +204,10 @@ _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
         + _flops_of_iteration(chain.spec.network, chain.spec.training) / _FLOPS_OF_TRAINING[chain.spec.training.device]
     ),
     "evolve": lambda settings, chain: _generation(settings, chain.spec.environment),
-    "transfer": lambda settings, chain: _generation(settings, chain.spec.environment),
+    "adapt": lambda settings, chain: _generation(settings, chain.spec.environment),
+    "transfer": lambda settings, chain: (
+        _rollout(settings, chain.spec.trial.environment) + 2 * _rollout(settings, settings.target)
+    ),
     "assess": lambda settings, chain: _rollout(settings, settings.target) + _rollout(settings, _ensemble_of(chain)),
     "analyse": lambda settings, chain: chain.weight * _rollout(settings, "dry_land"),
     "report": lambda settings, chain: _SECONDS_PER_PICTURE,

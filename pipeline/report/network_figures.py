@@ -16,7 +16,7 @@ from pipeline.report.drawing import DASHED, DOTTED, FIGURE_WIDTH, INK, NothingTo
 from pipeline.report.palette import LOOKS
 from pipeline.report.replay import link_corners
 from tasks.analysis.estimates import Estimate
-from tasks.analysis.registry import Assessed
+from tasks.analysis.study import Assessed
 from tasks.analysis.tables.regressions import CAUTIOUS, MEAN, Regression, ensemble_name
 from tasks.arrays import Float64, Int64
 from tasks.residual import NO_LEARNERS, Learner

@@ -24,7 +24,9 @@ from pipeline.report.render import as_html, typeset
 from pipeline.report.replay import Replay, encode
 from pipeline.report.transfer_figures import Curves
 from tasks.analysis import paper
-from tasks.analysis.registry import Analysis, Assessed, percent, scored_by
+from tasks.analysis.columns import percent, scored_by
+from tasks.analysis.registry import Analysis
+from tasks.analysis.study import Assessed
 from tasks.analysis.tables import ANALYSES
 from tasks.residual import arm_kind
 

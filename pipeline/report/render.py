@@ -18,9 +18,9 @@ from typing import Any
 from markupsafe import Markup
 
 from pipeline.store.tables import columns_of, csv_of, described, text
+from tasks.analysis.columns import environment_name, scored_by
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.estimates import Estimate, Mean
-from tasks.analysis.registry import environment_name, scored_by
 from tasks.analysis.tables import ANALYSES
 from tasks.analysis.tables.regressions import ensemble_name
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective

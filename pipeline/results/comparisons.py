@@ -9,8 +9,8 @@ from pipeline.report.document import TEMPLATES, document
 from pipeline.report.render import WRITERS, as_html
 from pipeline.results.recorded_study import Study
 from pipeline.workflow.record import setting_changes
+from tasks.analysis.columns import scored_by
 from tasks.analysis.comparison import Comparison, compare
-from tasks.analysis.registry import scored_by
 from tasks.analysis.scores import QUANTITIES, arms
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 from tasks.residual import arm_kind, in_order

@@ -32,15 +32,14 @@ from pipeline.report.render import as_latex
 from pipeline.results.recorded_study import Study
 from pipeline.results.results_json import results_of
 from pipeline.results.study_tables import about
+from pipeline.stages.files import ADAPTED, CHAMPION
 from pipeline.stages.report import REPORT, read_page
-from pipeline.stages.transfer import ADAPTED, CHAMPION
 from pipeline.store import disk
-from pipeline.store.design_file import design_from
 from pipeline.store.encoding import Json
 from pipeline.store.owned_folder import FolderKind, NewFolder
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import trials_of
-from tasks.analysis.registry import scored_by
+from tasks.analysis.columns import scored_by
 from tasks.analysis.tables.transfer import TransferRow
 from tasks.simulation.mjcf import mjcf as as_mjcf
 
@@ -109,14 +108,13 @@ def _write_champions(study: Study, folder: NewFolder, mjcf: bool) -> int:
     """Write the design of every champion, as it evolved and with its adapted controller; return their number."""
     n_champions = 0
     for trial in trials_of(study.settings, "transfer"):
-        scored = study.upstream["transfer"].done.get(trial, (None,))[-1]
+        files = study.reader.champion_files(trial)
         for file, suffix in ((CHAMPION, ""), (ADAPTED, "-adapted")):
-            if scored is not None and file in scored.files:
+            if file in files:
                 name = f"champions/{trial.environment}-{trial.depth:g}m-trial-{trial.index}{suffix}"
-                content = study.store.read(scored, file)
-                folder.write(f"{name}.json", content)
+                folder.write(f"{name}.json", files[file])
                 if mjcf:
-                    design = design_from(content, name)
+                    design = study.reader.design(trial, file)
                     folder.write(f"{name}.xml", as_mjcf(design, trial.depth, study.settings.physics).encode())
                 n_champions += file == CHAMPION
     return n_champions

@@ -19,16 +19,15 @@ from pipeline.report.render import as_html
 from pipeline.results.study_tables import KEYS, SOURCES, available, field_of, keys_of, parts_of
 from pipeline.stages import STAGES, environments
 from pipeline.stages.data_sets import DataSetId, data_sets, ensemble_ids, networks_of
-from pipeline.stages.transfer import ADAPTED, CHAMPION, read_trials
-from pipeline.stages.trial_scores import SCORE, decode_scores
-from pipeline.store.design_file import design_from
+from pipeline.stages.files import ADAPTED, CHAMPION
+from pipeline.stages.reader import StudyReader, read_study
 from pipeline.store.store import Store, StudyRecord
 from pipeline.store.tables import described
 from pipeline.workflow.graph import Survey, survey
 from pipeline.workflow.identity import TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import Execution, Upstream
-from tasks.analysis.registry import scored_by
+from tasks.analysis.columns import scored_by
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TransferRow, transfer_rows
 from tasks.design import Designs
@@ -91,6 +90,11 @@ class Study:
     def upstream(self) -> Upstream:
         """What the study has on record of each stage, by name."""
         return self._recorded.upstream
+
+    @cached_property
+    def reader(self) -> StudyReader:
+        """What the study has on record, decoded when it is asked for."""
+        return read_study(self.settings, self.upstream, self.store)
 
     @property
     def note(self) -> str:
@@ -160,13 +164,11 @@ class Study:
         Columns are displacements, called as in :class:`tasks.analysis.scores.ScoredTrial`, and design_json, the content
         of a design file. What another objective scores follows, such as zero_shot_score. What does not exist is null.
         """
-        rows = []
-        for trial in trials_of(self.settings, "transfer"):
-            if (parts := self.upstream["transfer"].done.get(trial)) and CHAMPION in parts[-1].files:
-                scores = decode_scores(self.store.read(parts[-1], SCORE), trial.label)
-                design = self.store.read(parts[-1], CHAMPION).decode()
-                values = scores.by_name() if scores else {}
-                rows.append({**keys_of(trial), **values, "design_json": design})
+        rows = [
+            {**keys_of(trial), **scores, "design_json": self.reader.champion_files(trial)[CHAMPION].decode()}
+            for trial in trials_of(self.settings, "transfer")
+            if (scores := self.reader.scores.get(trial))
+        ]
         about = {**described(ScoredTrial), "design_json": {"meaning": "Content of a design file."}}
         objective = self.settings.evolution.maximised
         about["fitness"] = {**about["fitness"], "unit": objective.unit}
@@ -179,7 +181,7 @@ class Study:
 
     def trials(self, *, displacement: bool = False) -> list[ScoredTrial]:
         """Return what is known of every trial's champion: its scores, or its displacements in any case."""
-        return read_trials(self.settings, self.upstream["transfer"], self.store, displacement)
+        return self.reader.scored_trials(displacement=displacement)
 
     def champion(self, environment: str, *, depth: float, trial: int, adapted: bool = False) -> Designs:
         """Return the champion of a trial, a design.
@@ -193,16 +195,15 @@ class Study:
         Raises:
             PuddleError: there is no such trial, it is not done or was not adapted, or all its designs diverged.
         """
-        found = self.table(CHAMPIONS, environment=environment, depth=depth, trial=trial)
+        self._check({"environment": environment, "depth": depth, "trial": trial})
+        identity = TrialId("transfer", environment, depth, trial)
         where = f"study {self.name}: {environment} at {depth:g} m, trial {trial}"
-        if not len(found):
+        files = self.reader.champion_files(identity)
+        if CHAMPION not in files:
             raise PuddleError(f"{where} has no champion: it is not done yet, or every design diverged")
-        if adapted:
-            scored = self.upstream["transfer"].done[TrialId("transfer", environment, depth, trial)][-1]
-            if ADAPTED not in scored.files:
-                raise PuddleError(f"{where} has no adapted champion: expected it in transfer.adapted_environments")
-            return design_from(self.store.read(scored, ADAPTED), where)
-        return design_from(found["design_json"][0].as_py().encode(), where)
+        if adapted and ADAPTED not in files:
+            raise PuddleError(f"{where} has no adapted champion: expected it in transfer.adapted_environments")
+        return self.reader.design(identity, ADAPTED if adapted else CHAMPION)
 
     def simulate(
         self,

@@ -15,15 +15,14 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.stages.analyse import table_file
-from pipeline.stages.assess import AssessmentId
-from pipeline.stages.data_sets import ChunkId, DataSetId, NetworkId
-from pipeline.store.encoding import Array, decode_table, units_of
-from pipeline.store.manifest import Manifest
+from pipeline.stages.data_sets import AssessmentId, ChunkId, DataSetId, NetworkId
+from pipeline.stages.files import CURVE, ERRORS, HISTORY, LEARNING, PREDICTIONS, TRANSITIONS
+from pipeline.store.encoding import Array, units_of
 from pipeline.store.store import Store
-from pipeline.store.tables import described
+from pipeline.store.tables import TableFile, described
 from pipeline.workflow.identity import ChainId, OutputId, TrialId
-from pipeline.workflow.stage import Results, Upstream
-from tasks.analysis.registry import scored_by
+from pipeline.workflow.stage import Files, Results, StoredFiles, Upstream
+from tasks.analysis.columns import scored_by
 from tasks.analysis.tables import ANALYSES
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 
@@ -33,29 +32,31 @@ class TableSource:
     """Where the rows of a table are."""
 
     stage: str
-    schema: str  # name of the Parquet files without suffix, too
-    version: int = 1
+    file: TableFile
 
-    def files(self, results: Results) -> dict[ChainId, list[Manifest]]:
-        """Return the work items that hold rows, by chain."""
-        file = table_file(self.schema)
-        found = {
-            chain: [manifest for manifest in manifests if file in manifest.files]
-            for chain, manifests in results.done.items()
+    def is_there(self, results: Results) -> bool:
+        """Return whether there are rows."""
+        return any(self.file.name in item.files for items in results.done.values() for item in items)
+
+    def parts(self, results: Results, store: Store) -> dict[ChainId, list[Files]]:
+        """Return the files of the work items that hold rows, by chain."""
+        holding: dict[ChainId, list[Files]] = {
+            chain: [StoredFiles(store, item) for item in items if self.file.name in item.files]
+            for chain, items in results.done.items()
         }
-        return {chain: manifests for chain, manifests in found.items() if manifests}
+        return {chain: items for chain, items in holding.items() if items}
 
 
 SOURCES: Mapping[str, TableSource] = {
-    "histories": TableSource("evolve", "history"),
-    "fitness_curves": TableSource("evolve", "curve"),
-    "adaptations": TableSource("transfer", "history"),
-    "adaptation_curves": TableSource("transfer", "curve"),
-    "predictions": TableSource("assess", "predictions"),
-    "transitions": TableSource("collect", "transitions"),
-    "learning_curves": TableSource("train", "learning"),
-    "validation_errors": TableSource("train", "errors"),
-    **{name: TableSource("analyse", name, one.version) for name, one in ANALYSES.items()},
+    "histories": TableSource("evolve", HISTORY),
+    "fitness_curves": TableSource("evolve", CURVE),
+    "adaptations": TableSource("adapt", HISTORY),
+    "adaptation_curves": TableSource("adapt", CURVE),
+    "predictions": TableSource("assess", PREDICTIONS),
+    "transitions": TableSource("collect", TRANSITIONS),
+    "learning_curves": TableSource("train", LEARNING),
+    "validation_errors": TableSource("train", ERRORS),
+    **{name: TableSource("analyse", table_file(analysis)) for name, analysis in ANALYSES.items()},
 }
 """Tables by name."""
 
@@ -80,9 +81,9 @@ _UNITS = {"environment": "", "depth": "m", "trial": "", "operator": ""}
 def available(upstream: Upstream) -> dict[str, TableSource]:
     """Return the tables that have rows in the store, by name; also those of analyses whose code is not here."""
     specs = [manifest.identity["spec"] for (manifest,) in upstream["analyse"].done.values()]
-    made = {spec["analysis"]: TableSource("analyse", spec["analysis"], spec["version"]) for spec in specs}
+    made = {spec["analysis"]: TableSource("analyse", TableFile(spec["analysis"], spec["version"])) for spec in specs}
     sources = {**SOURCES, **made}
-    return {name: source for name, source in sources.items() if source.files(upstream[source.stage])}
+    return {name: source for name, source in sources.items() if source.is_there(upstream[source.stage])}
 
 
 def about(name: str) -> str:
@@ -108,17 +109,11 @@ def parts_of(
         objective: of the study.
     """
     source = available(upstream)[name]
-    for chain, files in source.files(upstream[source.stage]).items():
-        keys = keys_of(chain)
+    for chain, items in source.parts(upstream[source.stage], store).items():
+        keys, where = keys_of(chain), f"{name}: {chain.label}"
         if any(keys.get(key, value) != value for key, value in only.items()):
             continue
-        decoded = []
-        units: Mapping[str, str] = {}
-        for manifest in files:
-            data, where = store.read(manifest, table_file(source.schema)), f"{name}: {chain.label}"
-            units = units or units_of(data, where)
-            decoded.append(decode_table(data, schema=source.schema, version=source.version, source=where))
-        columns = {column: np.concatenate([part[column] for part in decoded]) for column in decoded[0]}
+        units, columns = units_of(items[0][source.file.name], where), source.file.read(items, where)
         n_rows = len(next(iter(columns.values())))
         rows = {**{key: np.full(n_rows, value) for key, value in keys.items()}, **columns}
         yield _arrow_table(rows, units, described(scored_by(objective, ANALYSES[name].row)) if name in ANALYSES else {})

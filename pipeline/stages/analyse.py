@@ -5,7 +5,7 @@ Each work item is one analysis, of the whole study or of one arm, and its file i
 
 import textwrap
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
@@ -14,15 +14,15 @@ from pipeline.config.settings import Settings
 from pipeline.report.page import scale_words
 from pipeline.report.render import as_text, tables_of
 from pipeline.stages import environments
-from pipeline.stages.study_data import DataSpec, StudyFiles, data_inputs, data_spec
-from pipeline.store.encoding import decode_table, encode_table
+from pipeline.stages.reader import DataSpec, StudyReader, data_spec, inputs_of, read_inputs, read_study
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.store.tables import Columns, columns_of, described, rows_of
+from pipeline.store.tables import TableFile, columns_of, described, rows_of
 from pipeline.workflow.identity import OutputId, arms_of, trials_of
-from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
+from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Stage, Summary, Upstream
+from tasks.analysis.columns import scored_by
 from tasks.analysis.comparison import VERDICTS
-from tasks.analysis.registry import Analysis, scored_by
+from tasks.analysis.registry import Analysis
 from tasks.analysis.tables import ANALYSES
 
 
@@ -35,86 +35,78 @@ class AnalysisSpec:
     data: DataSpec
 
 
-def table_file(name: str) -> str:
-    """Return the name of a table's file."""
-    return f"{name}.parquet"
-
-
 def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
     """Plan one item for each analysis that applies, or one for each arm."""
     trials, chains = trials_of(settings, "transfer"), []
     learned = next(iter(settings.arm_learners), settings.target)
-    for name, one in ANALYSES.items():
-        if not applies(one, settings):
+    for name, table in ANALYSES.items():
+        if not applies(table, settings):
             continue
-        arms = arms_of(trials).items() if one.each == "arm" else [(None, trials)]
-        for arm, own in arms:
-            home = arm.environment if arm else learned if "train" in one.reads else settings.target
-            weight = one.cost * len(own) * environments.relative_cost(settings, home)
-            spec = AnalysisSpec(name, one.version, data_spec(settings, own))
+        arms = arms_of(trials).items() if table.each == "arm" else [(None, trials)]
+        for arm, of_arm in arms:
+            home = arm.environment if arm else learned if "networks" in table.reads else settings.target
+            weight = table.cost * len(of_arm) * environments.relative_cost(settings, home)
+            spec = AnalysisSpec(name, table.version, data_spec(settings, of_arm))
             chains.append(Chain(OutputId(name, arm), (1,), spec, weight=weight))
     return chains
 
 
-def applies(one: Analysis, settings: Settings) -> bool:
+def applies(table: Analysis, settings: Settings) -> bool:
     """Return whether a study has what an analysis is about."""
-    networks = settings.needs_ensemble or not {"collect", "train"} & set(one.reads)
-    papers = (settings.has_papers_target and settings.evolution.maximised.is_papers) or one.section != "paper"
-    searched = one.search in (None, settings.evolution.search)
-    true = one.section != "trust" or settings.learner(settings.target) is None  # else there is none
-    return networks and papers and true and searched and (settings.tank is not None or not one.needs_tank)
+    networks = settings.needs_ensemble or "networks" not in table.reads
+    papers = (settings.has_papers_target and settings.evolution.maximised.is_papers) or table.section != "paper"
+    searched = table.search in (None, settings.evolution.search)
+    true = table.section != "trust" or settings.learner(settings.target) is None  # else there is none
+    return networks and papers and true and searched and (settings.tank is not None or not table.needs_tank)
 
 
 def _item(
     settings: Settings, chain: Chain[AnalysisSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[AnalysisSpec]:
     spec = chain.spec
-    inputs = data_inputs(settings, spec.data.trials, ANALYSES[spec.analysis].reads, upstream)
+    inputs = inputs_of(settings, spec.data.trials, ANALYSES[spec.analysis].reads, upstream)
     return Item(ANALYSE.name, ANALYSE.version, chain.label, spec, inputs, Execution(settings.work.engine))
 
 
 def _compute(item: Item[AnalysisSpec], inputs: Inputs) -> Files:
-    one = ANALYSES[item.spec.analysis]
-    study = StudyFiles(item.spec.data, item.execution, inputs)
-    columns = columns_of(one.row, one.compute(study))
-    units = {name: about.get("unit", "") for name, about in described(scored_by(study.objective, one.row)).items()}
-    table = encode_table(columns, schema=one.name, version=one.version, producer=item.key, units=units)
-    return {table_file(one.name): table}
+    table, study = ANALYSES[item.spec.analysis], read_inputs(item.spec.data, item.execution, inputs)
+    columns = columns_of(table.row, table.compute(study))
+    units = {name: about.get("unit", "") for name, about in described(scored_by(study.objective, table.row)).items()}
+    file = table_file(table)
+    return {file.name: file.encode(columns, item.key, units)}
 
 
-def read_columns(files: Files, one: Analysis) -> Columns:
-    """Read the table of a work item as columns."""
-    file = table_file(one.name)
-    return decode_table(files[file], schema=one.name, version=one.version, source=file)
+def table_file(table: Analysis) -> TableFile:
+    """Return the file of an analysis."""
+    return TableFile(table.name, table.version)
 
 
-def read_tables(done: Mapping[OutputId, Files], settings: Settings) -> dict[str, list[Any]]:
+def tables_of_study(study: StudyReader, settings: Settings) -> dict[str, list[Any]]:
     """Return the rows of every analysis whose code is here, joined over its work items.
 
     At a small scale of evolution, metres cannot tell whether a study agrees with the paper.
     """
     tables: dict[str, list[Any]] = {}
-    for part, files in done.items():
-        if one := ANALYSES.get(part.name):
-            tables.setdefault(part.name, []).extend(rows_of(one.row, read_columns(files, one)))
+    for output, items in study.items("tables").items():
+        if table := ANALYSES.get(output.name):
+            tables.setdefault(output.name, []).extend(rows_of(table.row, table_file(table).read(items)))
     if scale_words(settings):
-        found = tables.get("paper", ())
-        tables["paper"] = [replace(row, verdict="cannot tell") if row.is_metres else row for row in found]
+        rows = tables.get("paper", ())
+        tables["paper"] = [replace(row, verdict="cannot tell") if row.is_metres else row for row in rows]
     return tables
 
 
-def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
     """Count how many statements of the paper agree; offer every table of readable size as CSV."""
-    files = {part: {name: store.read(done, name) for name in done.files} for part, (done,) in results.done.items()}
-    tables = read_tables({part: own for part, own in files.items() if isinstance(part, OutputId)}, settings)
+    tables = tables_of_study(read_study(settings, upstream, store), settings)
     lines, metrics = list[str](), dict[str, float | None]()
     for name, rows in ((name, rows) for name, rows in tables.items() if rows):
-        one = ANALYSES[name]
-        metrics |= one.metrics(rows)
-        if one.section == "tank":
-            shown = [row for row in rows if one.shown(row)]
-            lines += ["", one.answers, *as_text(one.row, shown, learners=settings.arm_learners)]
-        elif one.section == "paper":
+        table = ANALYSES[name]
+        metrics |= table.metrics(rows)
+        if table.section == "tank":
+            shown = [row for row in rows if table.shown(row)]
+            lines += ["", table.answers, *as_text(table.row, shown, learners=settings.arm_learners)]
+        elif table.section == "paper":
             counts = Counter(row.verdict for row in rows)
             told = ", ".join(f"{counts[verdict]} × {verdict}" for verdict in VERDICTS)
             lines += textwrap.wrap(f"{len(rows)} statements of the paper: {told}; the page has the table", 78)
@@ -130,7 +122,7 @@ ANALYSE = Stage(
     name="analyse",
     version=14,
     unit="analyses",
-    reads=lambda settings: ("collect", "train", "evolve", "transfer", "assess"),
+    reads=lambda settings: ("train", "evolve", "transfer", "assess"),
     plan=_plan,
     item=_item,
     compute=_compute,

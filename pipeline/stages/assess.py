@@ -4,30 +4,27 @@ Designs are drawn over the generations of every trial in the target and on Dry L
 in the target and under every member. What the figures say of it is computed by the stage analyse.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.config.settings import Settings
-from pipeline.stages import divergence, environments, segments
-from pipeline.stages.data_sets import DataSetId, ensemble_ids
+from pipeline.stages import divergence, environments
+from pipeline.stages.data_sets import AssessmentId, DataSetId, ensemble_ids
 from pipeline.stages.environments import SimulationSpec
-from pipeline.store.encoding import decode_table, encode_table
+from pipeline.stages.files import HISTORY, PREDICTIONS
+from pipeline.stages.reader import read_study
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.store.tables import Columns
-from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
-from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Results, Stage, Summary, Upstream
+from pipeline.workflow.identity import InputName, TrialId, trials_of
+from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Stage, Summary, Upstream
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
-from tasks.design.genes import DTYPES, GENES
+from tasks.design.genes import GENES
 from tasks.residual import arm_kind
 from tasks.seeding import generator
 from tasks.world import EnvironmentName
-
-PREDICTIONS = "predictions.parquet"
-ASSESSED = "assessed"  # role of the inputs of later stages that are a trial's predictions
 
 _SEGMENT = "segment"  # role of the inputs that are a trial's histories
 
@@ -46,19 +43,6 @@ def _units(target: str) -> dict[str, str]:
         "predicted_com": "m, of the centre of mass under each member",
         **{gene.name: gene.unit for gene in GENES},
     }
-
-
-@dataclass(frozen=True)
-class AssessmentId:
-    """A trial's share of the assessed designs, predicted by the ensemble of a data set."""
-
-    trial: TrialId
-    data_set: DataSetId
-
-    @property
-    def label(self) -> str:
-        """Name for display."""
-        return f"{self.data_set.learner}/{self.trial.label}"
 
 
 @dataclass(frozen=True)
@@ -113,14 +97,14 @@ def _item(
     inputs = environments.network_inputs(ensemble_ids(settings, chain.identity.data_set), upstream)
     evolved = chain.spec.trial.in_stage("evolve")
     for number, segment in enumerate(upstream["evolve"].chain(evolved)):
-        inputs[InputName(_SEGMENT, evolved, number)] = Input(segment, (segments.HISTORY,))
+        inputs[InputName(_SEGMENT, evolved, number)] = Input(segment, (HISTORY.name,))
     return Item(ASSESS.name, ASSESS.version, chain.label, chain.spec, inputs, Execution(settings.work.engine))
 
 
 def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
     """Draw a trial's share and simulate it."""
     spec, trial = item.spec, item.spec.trial
-    history = _history([files for name, files in inputs.items() if name.role == _SEGMENT])
+    history = HISTORY.read([files for name, files in inputs.items() if name.role == _SEGMENT])
     rng = generator(spec.seed, *trial.seed_identity)
     drawn = draw_over_generations(history["generation"], spec.n_designs, rng)
     designs = Designs.from_arrays(history)[drawn]
@@ -147,25 +131,12 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
         **dict(designs.arrays()),
     }
     units = _units(arm_kind(spec.target).label)
-    return {PREDICTIONS: encode_table(columns, schema="predictions", version=1, producer=item.key, units=units)}
+    return {PREDICTIONS.name: PREDICTIONS.encode(columns, item.key, units)}
 
 
-def _history(parts: Sequence[Files]) -> Columns:
-    """Join the columns of a trial's histories that say which designs there were, and when."""
-    tables = [decode_table(part[segments.HISTORY], schema="history", version=1, source="history") for part in parts]
-    names = ("generation", "identity", *DTYPES)
-    return {name: np.concatenate([table[name] for table in tables]) for name in names}
-
-
-def read_predictions(files: Sequence[Files]) -> Columns:
-    """Decode and join the shares of one or more trials."""
-    tables = [decode_table(part[PREDICTIONS], schema="predictions", version=1, source=PREDICTIONS) for part in files]
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
     """Count designs, and those that diverged."""
-    shares = [read_predictions([{PREDICTIONS: store.read(share, PREDICTIONS)}]) for (share,) in results.done.values()]
+    shares = list(read_study(settings, upstream, store).predictions.values())
     if not shares:
         return Summary(lines=[f"no designs: they take networks, and trials in {settings.target_label} or on Dry Land"])
     n_diverged = sum(int(divergence.somewhere(share).sum()) for share in shares)
@@ -181,14 +152,6 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     )
 
 
-def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
-    return {
-        trial: message
-        for trial, (share,) in results.done.items()
-        if (message := divergence.in_assessment(read_predictions([{PREDICTIONS: store.read(share, PREDICTIONS)}])))
-    }
-
-
 ASSESS = Stage(
     name="assess",
     version=1,
@@ -198,5 +161,5 @@ ASSESS = Stage(
     item=_item,
     compute=_compute,
     summarise=_summarise,
-    diverged=_diverged,
+    diverged=divergence.in_stage("assess"),
 )

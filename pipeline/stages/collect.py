@@ -10,17 +10,30 @@ from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.data_sets import ChunkId, DataSetId, data_sets
 from pipeline.stages.environments import Media
+from pipeline.stages.files import TRANSITIONS
+from pipeline.stages.reader import chunks_of, read_transitions
 from pipeline.stages.tracked import TRACK_REPORT, encode_report, outside_files, read_tracks, report_lines, unnamed
-from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
+from pipeline.store.encoding import decode_json, encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
-from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Results, Sources, Stage, Summary, Upstream
+from pipeline.workflow.stage import (
+    Chain,
+    Files,
+    Input,
+    Inputs,
+    Item,
+    Results,
+    Sources,
+    Stage,
+    StoredFiles,
+    Summary,
+    Upstream,
+)
 from tasks.bench.tracks import Tracks, residual_transitions
 from tasks.residual import (
     OBSERVATION,
     STATE,
-    MeasuredTransitions,
     Throws,
     Transitions,
     current,
@@ -32,7 +45,6 @@ from tasks.seeding import generator, replicate_seed
 from tasks.world import EnvironmentName, Physics
 
 THROWN = "throws"  # role of the inputs that are chunks of the data set
-TRANSITIONS = "transitions.parquet"
 _RANGES = "ranges.json"  # of the states of robots, which designed throws cover
 _STATE_UNITS = f"{', '.join(STATE)} [m, m, rad, m/s, m/s, rad/s]"
 _UNITS = {
@@ -103,13 +115,13 @@ def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
     if isinstance(spec, TracksSpec):
         read = read_tracks(inputs)
         tracked, report = residual_transitions(read.table, read.bars, spec.tracks, spec.physics)
-        return {TRANSITIONS: _encoded(tracked, item.key), TRACK_REPORT: encode_report(report)}
+        return {TRANSITIONS.name: _encoded(tracked, item.key), TRACK_REPORT: encode_report(report)}
     starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
     starts = starts[spec.first : spec.first + spec.n]
     medium = environments.build_environment(spec.media, spec.target, 0.0, {}).medium
     assert medium is not None  # what the base simulator lacks and the networks learn
     transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
-    files = {TRANSITIONS: _encoded(transitions, item.key)}
+    files = {TRANSITIONS.name: _encoded(transitions, item.key)}
     if spec.throws.design == "robots":
         files[_RANGES] = encode_json(asdict(robot_ranges(spec.physics)))
     return files
@@ -118,7 +130,7 @@ def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
 def _encoded(transitions: Transitions, producer: str) -> bytes:
     columns: dict[str, Any] = transitions.columns()
     units = {name: _UNITS[name] for name in columns}
-    return encode_table(columns, schema="transitions", version=1, producer=producer, units=units)
+    return TRANSITIONS.encode(columns, producer, units)
 
 
 def throws_inputs(collected: Results, data_set: DataSetId) -> Sources:
@@ -127,9 +139,8 @@ def throws_inputs(collected: Results, data_set: DataSetId) -> Sources:
     Raises:
         MissingInputs: a chunk is not there.
     """
-    chunks = (*collected.done, *collected.unfinished, *collected.failed)
-    own = [chunk for chunk in chunks if isinstance(chunk, ChunkId) and chunk.data_set == data_set]
-    return {InputName(THROWN, chunk): Input(collected.chain(chunk)[0], (TRANSITIONS,)) for chunk in own}
+    chunks = chunks_of(data_set, collected)
+    return {InputName(THROWN, chunk): Input(collected.chain(chunk)[0], (TRANSITIONS.name,)) for chunk in chunks}
 
 
 def throws_among(inputs: Inputs) -> list[Files]:
@@ -137,25 +148,17 @@ def throws_among(inputs: Inputs) -> list[Files]:
     return [files for name, files in inputs.items() if name.role == THROWN]
 
 
-def read_transitions(chunks: Sequence[Files]) -> Transitions:
-    """Decode and join the chunks of a data set."""
-    tables = [decode_table(chunk[TRANSITIONS], schema="transitions", version=1, source=TRANSITIONS) for chunk in chunks]
-    kind: type[Transitions] = MeasuredTransitions if "residual_sd" in tables[0] else Transitions
-    return kind.concatenate([kind(**table) for table in tables])
-
-
-def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
     """Count the transitions of each data set by immersion and speed: robots move slowly, the paper's throws do not."""
     lines, metrics = list[str](), dict[str, float]()
     for data_set in data_sets(settings):
-        done = {
-            chunk: parts[0]
-            for chunk, parts in results.done.items()
-            if isinstance(chunk, ChunkId) and chunk.data_set == data_set
-        }
-        if not done:
+        done = upstream["collect"].done
+        chunks = [
+            StoredFiles(store, done[chunk][0]) for chunk in chunks_of(data_set, upstream["collect"]) if chunk in done
+        ]
+        if not chunks:
             continue
-        transitions = read_transitions([{TRANSITIONS: store.read(part, TRANSITIONS)} for part in done.values()])
+        transitions = read_transitions(chunks)
         name = "" if len(data_sets(settings)) == 1 else f"{data_set.label}: "
         if settings.ensembles[data_set.learner].network.form == "wetted":
             flow, sd = current(transitions)
@@ -164,8 +167,8 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
                     f"{name}the fluid flows at {flow:.2f} ± {sd:.2f} m/s, and wetted networks learn a fluid at rest: "
                     "set network.form to plain"
                 )
-        if tracked := [part for part in done.values() if TRACK_REPORT in part.files]:
-            found = decode_json(store.read(tracked[0], TRACK_REPORT), TRACK_REPORT)
+        if TRACK_REPORT in chunks[0]:
+            found = decode_json(chunks[0][TRACK_REPORT], TRACK_REPORT)
             n_further = int((transitions.throw < 0).sum())
             lines += report_lines(found, settings, len(transitions) - n_further, n_further)
             metrics |= {"n_throws": float(found["n_throws"]), "n_transitions": float(len(transitions))}

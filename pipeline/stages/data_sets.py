@@ -50,6 +50,19 @@ class NetworkId:
         return f"{self.data_set.label}/member-{self.index:02d}"
 
 
+@dataclass(frozen=True)
+class AssessmentId:
+    """A trial's share of the assessed designs, predicted by the ensemble of a data set."""
+
+    trial: TrialId
+    data_set: DataSetId
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        return f"{self.data_set.learner}/{self.trial.label}"
+
+
 def data_sets(settings: Settings) -> list[DataSetId]:
     """List the data sets of a study, the main one first."""
     return [DataSetId(name, k) for name in settings.ensembles for k in range(settings.replicates)]

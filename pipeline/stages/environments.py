@@ -10,6 +10,7 @@ from pipeline.cluster import Spread
 from pipeline.config.settings import RolloutSettings, Settings
 from pipeline.errors import PuddleError
 from pipeline.stages.data_sets import NetworkId
+from pipeline.stages.files import WEIGHTS
 from pipeline.store.encoding import decode_arrays
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
@@ -26,7 +27,7 @@ from tasks.simulation.fluids import is_compiled
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, MeanResidual, Physics, ResidualSlush
 from tasks.world.medium import MediumError, Networks
 
-WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
+MEMBER_SCHEMA, MEMBER_VERSION = "member", 1
 MEMBER, OF_TARGET = "member", "target-member"  # roles of the inputs that are networks, and those of a learned target
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 _CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land

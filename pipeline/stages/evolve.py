@@ -1,6 +1,6 @@
 """evolve: the evolution of bodies and controllers, every trial of every depth and environment. Paper, "Evolution"."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,12 +8,14 @@ from pipeline.config.settings import Settings
 from pipeline.mlflow.run import CurvePoints
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.data_sets import networks_of
+from pipeline.stages.files import CURVE
+from pipeline.stages.reader import read_study
 from pipeline.stages.segments import SegmentSpec, TrialSpec
 from pipeline.store.design_file import design_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, ChainId, trials_of
-from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, Upstream
+from pipeline.workflow.stage import Chain, Files, Item, Stage, Summary, Upstream
 
 
 def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
@@ -38,19 +40,14 @@ def _item(
     )
 
 
-def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Report each arm's best fitness, and each trial's curves."""
-    curves, best = [], dict[Arm, list[float]]()
-    for trial in trials_of(settings, "evolve"):
-        if trial not in results.done:
-            continue
-        curve = segments.read_curve(store, results.done[trial])
-        final = float(curve["best_fitness"][-1])
-        best.setdefault(trial.arm, []).append(final)
-        curves.append(curve)
+def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
+    """Report each arm's best fitness, and what diverged or was rejected."""
+    curves, best = read_study(settings, upstream, store).curves(), dict[Arm, list[float]]()
+    for trial, curve in curves.items():
+        best.setdefault(trial.arm, []).append(float(curve["best_fitness"][-1]))
     unit = settings.evolution.maximised.unit
     lines = [settings.evolution.maximised.with_unit(f"fitness: {settings.selected_for}")] if best else []
-    metrics = {"n_diverged": float(sum(curve["n_diverged"].sum() for curve in curves))}
+    metrics = {"n_diverged": float(sum(curve["n_diverged"].sum() for curve in curves.values()))}
     for arm, fitness in best.items():
         known = [value for value in fitness if np.isfinite(value)]
         shown = f"{segments.mean_and_deviation(known)} {unit} (n = {len(known)})" if known else "     -"
@@ -59,7 +56,8 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         lines.append(f"{arm.environment:>15} at {arm.depth:g} m: champions' fitness {shown}{lost}")
         if known:
             metrics[f"champion_fitness.{arm.environment}.{arm.depth:g}m"] = float(np.mean(known))
-    rejecting = {operator: counts for operator, counts in segments.draws_of(curves).items() if counts[1]}
+    draws = segments.draws_of(list(curves.values())).items()
+    rejecting = {operator: counts for operator, counts in draws if counts[1]}
     if rejecting:
         listed = ", ".join(f"{n / of:.1%} of {of:,} by {operator}" for operator, (of, n) in rejecting.items())
         lines.append(f"drawn again because evolution.morphology did not allow them: {listed}")
@@ -67,27 +65,17 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     return Summary(lines, metrics)
 
 
-def _curves(store: Store, segment: Manifest) -> CurvePoints:
-    curve = segments.read_curve(store, [segment])
+def _curves(segment: Files) -> CurvePoints:
+    curve = CURVE.read([segment])
     return CurvePoints(curve["generation"].tolist(), {name: curve[name] for name in ("best_fitness", "median_fitness")})
 
 
-def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> Summary:
+def _summarise_trial(trial: ChainId, items: Sequence[Files]) -> Summary:
     """Report a trial's champion."""
-    curve = segments.read_curve(store, parts)
+    curve, champion = CURVE.read(items, trial.label), segments.champion_of(segments.population_of(items[-1]))
     best, n_diverged = float(curve["best_fitness"][-1]), float(curve["n_diverged"].sum())
-    files = {segments.POPULATION: store.read(parts[-1], segments.POPULATION)}
-    champion = segments.champion_of(segments.population_of(files))
     artifacts = {} if champion is None else {"champion.json": design_json(champion)}
     return Summary(metrics={"champion_fitness": best, "n_designs_diverged": n_diverged}, artifacts=artifacts)
-
-
-def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
-    return {
-        trial: message
-        for trial, parts in results.done.items()
-        if (message := divergence.in_trial(segments.read_curve(store, parts)))
-    }
 
 
 EVOLVE = Stage(
@@ -100,7 +88,7 @@ EVOLVE = Stage(
     compute=segments.compute_segment,
     compute_batch=segments.compute_segments,
     summarise=_summarise,
-    diverged=_diverged,
+    diverged=divergence.in_stage("evolve"),
     curves=_curves,
     summarise_trial=_summarise_trial,
 )

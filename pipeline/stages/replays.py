@@ -8,9 +8,9 @@ from pipeline.report.page import robot_address
 from pipeline.report.palette import looks_of
 from pipeline.report.replay import Replay, Surroundings, at_frames, replay_of
 from pipeline.stages.environments import SimulationSpec
-from pipeline.stages.study_data import StudyFiles
+from pipeline.stages.reader import StudyReader
 from pipeline.workflow.identity import arms_of
-from tasks.analysis.hallucination import disagreement
+from tasks.analysis.hallucination import disagreement_along
 from tasks.analysis.scores import Champion
 from tasks.arrays import Float64
 from tasks.design import Designs
@@ -21,7 +21,7 @@ from tasks.world import EnsembleMedium, Environment, EnvironmentName
 from tasks.world.registry import ArmKind
 
 
-def replays_of(study: StudyFiles) -> list[Replay]:
+def replays_of(study: StudyReader) -> list[Replay]:
     """Return replays of every champion in the target, the best of each arm first, and also where it evolved."""
     replays: list[Replay] = []
     for own in _arms(study):
@@ -33,7 +33,7 @@ def replays_of(study: StudyFiles) -> list[Replay]:
     return replays
 
 
-def elite_replays(study: StudyFiles) -> list[tuple[Designs, Replay]]:
+def elite_replays(study: StudyReader) -> list[tuple[Designs, Replay]]:
     """Return the fittest elite of each cell of the deepest archives of the target, and its replay there."""
     depth = max(trial.depth for trial in study.spec.trials)
     fittest: dict[tuple[int, int], Champion] = {}
@@ -56,12 +56,12 @@ def elite_replays(study: StudyFiles) -> list[tuple[Designs, Replay]]:
     return found
 
 
-def best_replays(study: StudyFiles) -> list[Replay]:
+def best_replays(study: StudyReader) -> list[Replay]:
     """Return replays in the target of the best champion of every arm, for the film of the first screen."""
     return [replay for own in _arms(study) for replay in _best_of(study, own) if replay.in_target]
 
 
-def _arms(study: StudyFiles) -> list[list[Champion]]:
+def _arms(study: StudyReader) -> list[list[Champion]]:
     """Return the champions of each arm that has some, the deepest first."""
     by_arm = {(arm.environment, arm.depth): list[Champion]() for arm in arms_of(study.spec.trials)}
     for champion in study.champions:
@@ -69,7 +69,7 @@ def _arms(study: StudyFiles) -> list[list[Champion]]:
     return sorted((own for own in by_arm.values() if own), key=lambda own: -own[0].depth)
 
 
-def _best_of(study: StudyFiles, own: list[Champion]) -> list[Replay]:
+def _best_of(study: StudyReader, own: list[Champion]) -> list[Replay]:
     """Return replays of an arm's best champion, with how much the members disagree.
 
     It is the best zero-shot, or the best where it evolved if none survives the target.
@@ -91,12 +91,12 @@ def _address(champion: Champion) -> str:
     return robot_address(champion.environment, champion.depth, champion.trial)
 
 
-def _at_target(study: StudyFiles, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
+def _at_target(study: StudyReader, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
     return _replay(study, champion, study.target, study.at_target(champion.depth), ensemble)
 
 
 def _replay(
-    study: StudyFiles,
+    study: StudyReader,
     champion: Champion,
     seen_in: EnvironmentName,
     environment: Environment,
@@ -159,7 +159,7 @@ def replay_in(
         return None
     doubts = None
     if ensemble is not None and ensemble.n_members > 1:
-        doubts = at_frames(disagreement(design, trace, ensemble, physics)[0], n_settle)
+        doubts = at_frames(disagreement_along(design, trace, ensemble, physics)[0], n_settle)
     other: Surroundings = "air" if environment.medium is None else "medium"
     replay = replay_of(
         design,

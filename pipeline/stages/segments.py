@@ -12,9 +12,9 @@ from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.environments import FitnessSpec, SimulationSpec, networks_among
-from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
+from pipeline.stages.files import CURVE, HISTORY, POPULATION
+from pipeline.store.encoding import decode_arrays, encode_arrays
 from pipeline.store.manifest import Manifest
-from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, InputName, TrialId
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Sources
 from tasks.design import Designs, Morphology
@@ -32,7 +32,6 @@ from tasks.evolution import (
 from tasks.seeding import generator
 from tasks.world import Environment, EnvironmentName
 
-POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
 BEFORE = InputName("before")  # the segment before
 CHAMPION_OF = InputName("champion-of")  # the last segment of the trial whose champion's body is frozen
 
@@ -140,10 +139,8 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
     return [
         {
             POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=item.key),
-            HISTORY: encode_table(history, schema="history", version=1, producer=item.key, units=of_history),
-            CURVE: encode_table(
-                _curve(search, trial.population, history), schema="curve", version=1, producer=item.key, units=of_curve
-            ),
+            HISTORY.name: HISTORY.encode(history, item.key, of_history),
+            CURVE.name: CURVE.encode(_curve(search, trial.population, history), item.key, of_curve),
         }
         for item, trial, (after, history) in zip(items, trials, advanced, strict=True)
     ]
@@ -209,17 +206,6 @@ def _curve(
         "n_diverged": np.isneginf(fitness).sum(axis=1),
         **draws,
     }
-
-
-def read_curve(store: Store, segments: Sequence[Manifest]) -> dict[str, npt.NDArray[Any]]:
-    """Read and join the curves of a trial's segments."""
-    return join_curves({manifest.key: store.read(manifest, CURVE) for manifest in segments})
-
-
-def join_curves(parts: Mapping[str, bytes]) -> dict[str, npt.NDArray[Any]]:
-    """Join the curves of a trial's segments; names of sources are for error messages."""
-    tables = [decode_table(data, schema="curve", version=1, source=name) for name, data in parts.items()]
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 def draws_of(curves: Sequence[Mapping[str, npt.NDArray[Any]]]) -> dict[str, tuple[int, ...]]:

@@ -9,23 +9,21 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.mlflow.run import CurvePoints
-from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
+from pipeline.stages.collect import throws_among, throws_inputs
 from pipeline.stages.data_sets import NetworkId, network_ids
-from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS
-from pipeline.store.encoding import decode_table, encode_arrays, encode_table
+from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION
+from pipeline.stages.files import ERRORS, LEARNING, WEIGHTS
+from pipeline.stages.reader import read_transitions
+from pipeline.store.encoding import encode_arrays
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.store.tables import Columns
 from pipeline.workflow.identity import ChainId
-from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Results, Stage, Summary, Upstream
+from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Stage, StoredFiles, Summary, Upstream
 from tasks.residual import Architecture, ErrorRow, Training
 from tasks.seeding import replicate_seed
 
 if TYPE_CHECKING:
     from tasks.residual.training import TrainedMember  # imports torch
-
-MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
-_LEARNING = "learning.parquet"
 
 _ERROR_UNITS = {
     "component": "of the residual",
@@ -92,25 +90,20 @@ def member_files(trained: "TrainedMember", producer: str) -> Files:
     errors = {f.name: np.array([getattr(row, f.name) for row in trained.validation]) for f in fields(ErrorRow)}
     return {
         WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=producer),
-        _LEARNING: encode_table(learning, schema="learning", version=1, producer=producer),
-        MEMBER_ERRORS: encode_table(errors, schema="errors", version=1, producer=producer, units=_ERROR_UNITS),
+        LEARNING.name: LEARNING.encode(learning, producer, {}),
+        ERRORS.name: ERRORS.encode(errors, producer, _ERROR_UNITS),
     }
 
 
-def read_errors(data: bytes, source: str) -> Columns:
-    """Decode a member's errors on the throws held out: the columns of ErrorRow."""
-    return decode_table(data, schema="errors", version=1, source=source)
-
-
-def _curves(store: Store, member: Manifest) -> CurvePoints:
-    learning = decode_table(store.read(member, _LEARNING), schema="learning", version=1, source=member.key)
+def _curves(network: Files) -> CurvePoints:
+    learning = LEARNING.read([network])
     losses = {name: learning[name] for name in ("training_loss", "validation_loss")}
     return CurvePoints(learning["iteration"].tolist(), losses)
 
 
-def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -> Summary:
-    """Report a member's errors, at the speeds of robots and over all throws."""
-    errors = read_errors(store.read(parts[0], MEMBER_ERRORS), chain.label)
+def _summarise_member(network: ChainId, items: Sequence[Files]) -> Summary:
+    """Report a member's errors on the throws held out, at the speeds of robots and over all throws."""
+    errors = ERRORS.read(items, network.label)
     metrics = {}
     for component in ("vx", "vy", "omega"):
         for band in ("all", "< 0.5"):
@@ -128,9 +121,10 @@ def _error(metrics: Mapping[str, float]) -> str:
     return f"{error}, slow {slow:.2f} (bias {metrics['bias.vx.low_speed']:+.4f} m/s)"
 
 
-def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
     """Report the error of each member."""
-    members = {chain: _summarise_member(store, chain, done).metrics for chain, done in results.done.items()}
+    trained = upstream["train"].done.items()
+    members = {chain: _summarise_member(chain, [StoredFiles(store, item)]).metrics for chain, (item,) in trained}
     if not members:
         return Summary(["no trial needs residual networks"])
     errors = [f"{chain.label}: {_error(metrics)}" for chain, metrics in members.items()]

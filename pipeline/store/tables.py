@@ -7,14 +7,41 @@ it gives the reason. A nested dataclass, such as an Estimate, is laid out flat: 
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import Field, fields, is_dataclass
+from dataclasses import Field, dataclass, fields, is_dataclass
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.store.encoding import decode_table, encode_table
+
 Columns = dict[str, npt.NDArray[Any]]
 Row = TypeVar("Row")
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """The Parquet file of a schema, which several items may have a part of."""
+
+    schema: str
+    version: int = 1
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return f"{self.schema}.parquet"
+
+    def encode(self, columns: Mapping[str, npt.NDArray[Any]], producer: str, units: Mapping[str, str]) -> bytes:
+        """Return the file's content; ``producer`` is the key of the item that makes it."""
+        return encode_table(columns, schema=self.schema, version=self.version, producer=producer, units=units)
+
+    def read(self, parts: Sequence[Mapping[str, bytes]], source: str = "") -> Columns:
+        """Decode the parts among the files of one or more items, and join them; messages call them ``source``."""
+        tables = [
+            decode_table(part[self.name], schema=self.schema, version=self.version, source=source or self.name)
+            for part in parts
+        ]
+        return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 def columns_of(kind: type[Row], rows: Sequence[Row]) -> Columns:

@@ -115,8 +115,8 @@ class _Driver:
                 upstream[stage.name] = results_of(stage, chains)
                 self.record.update(upstream)
             found = upstream[stage.name]
-            upstream[stage.name] = replace(found, diverged=stage.diverged(self.settings, found, self.store))
-            summary = stage.summarise(self.settings, found, self.store)
+            upstream[stage.name] = replace(found, diverged=stage.diverged(self.settings, upstream, self.store))
+            summary = stage.summarise(self.settings, upstream, self.store)
             self.progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
             self.mirror.finish(stage, found, summary, is_last=stage is self.stages[-1])
         if line := other_code(upstream):

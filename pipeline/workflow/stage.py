@@ -8,7 +8,7 @@ A stage's work is a set of independent *chains*. A chain is a sequence of items,
 trial. An :class:`Item` is done if and only if the store holds its key, the SHA-256 of its identity.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +29,26 @@ ChainSpecT = TypeVar("ChainSpecT")
 ItemSpecT = TypeVar("ItemSpecT")
 
 Files = Mapping[str, bytes]  # an item's results: contents by file name
+
+
+@dataclass(frozen=True)
+class StoredFiles(Mapping[str, bytes]):
+    """The files of an item that a store has, each read when it is asked for."""
+
+    store: Store
+    manifest: Manifest
+
+    def __getitem__(self, name: str) -> bytes:
+        if name not in self.manifest.files:
+            raise KeyError(name)
+        return self.store.read(self.manifest, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.manifest.files)
+
+    def __len__(self) -> int:
+        return len(self.manifest.files)
+
 
 Inputs = Mapping[InputName, Files]  # contents of an item's inputs, in the order in which the item lists them
 
@@ -195,15 +215,15 @@ class Stage(Generic[ChainSpecT, ItemSpecT]):
     item: Callable[[Settings, Chain[ChainSpecT], int, Manifest | None, Upstream], Item[ItemSpecT]]
     """Specify item i of a chain from the item before it (None at the chain's start) and the stages it reads."""
     compute: Callable[[Item[ItemSpecT], Inputs], Files]  # runs on a worker: no store, no clock
-    summarise: Callable[[Settings, Results, Store], Summary]
+    summarise: Callable[[Settings, Upstream, Store], Summary]
     compute_batch: Callable[[Sequence[Item[ItemSpecT]], Sequence[Inputs]], Sequence[Files]] | None = None
     """Compute items that form a batch in one call: the same files as ``compute`` makes of each, but faster."""
-    diverged: Callable[[Settings, Results, Store], Mapping[ChainId, str]] = lambda settings, results, store: {}
+    diverged: Callable[[Settings, Upstream, Store], Mapping[ChainId, str]] = lambda settings, upstream, store: {}
     """Describe what diverged, by complete chain; chains that stayed finite are left out."""
-    curves: Callable[[Store, Manifest], CurvePoints] | None = None
-    """Read the points that an item adds to its chain's curves. MLflow shows a stage that has some chain by chain."""
-    summarise_trial: Callable[[Store, ChainId, Sequence[Manifest]], Summary] = lambda store, chain, parts: Summary()
-    """Sum up a chain of a stage with curves for MLflow, as soon as it is complete."""
+    summarise_trial: Callable[[ChainId, Sequence[Files]], Summary] | None = None
+    """Sum up a chain from the files of its items, as soon as it is complete. MLflow shows such a stage by chain."""
+    curves: Callable[[Files], CurvePoints] = lambda files: CurvePoints()
+    """Return the points that an item adds to the curves of its chain in MLflow."""
 
 
 AnyStage: TypeAlias = Stage[Any, Any]

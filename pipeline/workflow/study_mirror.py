@@ -20,7 +20,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.identity import ChainId, TrialId
 from pipeline.workflow.record import preset_of
-from pipeline.workflow.stage import AnyStage, Failure, Results, Summary
+from pipeline.workflow.stage import AnyStage, Failure, Results, StoredFiles, Summary
 
 if TYPE_CHECKING:
     from pipeline.mlflow.mirror import Tracker
@@ -80,9 +80,9 @@ class StudyMirror:
     def _mirror_trials(
         self, stage: AnyStage, chains: Sequence[ChainProgress], mirrored: dict[ChainId, tuple[int, Failure | None]]
     ) -> None:
-        """Mirror the chains of a stage with curves that have got further than they are mirrored."""
+        """Mirror the chains of a stage that is shown by chain, which have got further than they are mirrored."""
         trials = []
-        for progress in chains if stage.curves else ():
+        for progress in chains if stage.summarise_trial else ():
             chain, reached = progress.chain.identity, (len(progress.manifests), progress.failed)
             if reached != mirrored.get(chain, (0, None)):
                 with contextlib.suppress(PuddleError, OSError):  # the driver finds out when it needs the file
@@ -112,7 +112,7 @@ class StudyMirror:
 
     def _trial(self, stage: AnyStage, progress: ChainProgress, parts: Sequence[Manifest]) -> Run:
         """Describe a chain as far as it is done."""
-        assert stage.curves is not None
+        assert stage.summarise_trial is not None
         chain, n_items = progress.chain.identity, progress.chain.n_items
         params: dict[str, str | int | float] = {}
         if isinstance(chain, TrialId):
@@ -120,7 +120,7 @@ class StudyMirror:
         tags = {name: f"{value:g}" if name == "depth" else str(value) for name, value in params.items()}
         n_points = -(-_POINTS_OF_A_CURVE // n_items)
         curves = [
-            CurvePart(part.digest, partial(_thinned, partial(stage.curves, self._store, part), n_points))
+            CurvePart(part.digest, partial(_thinned, partial(stage.curves, StoredFiles(self._store, part)), n_points))
             for part in parts
         ]
         run = Run(name=chain.label, key=chain.label, params=params, curves=curves, tags=tags)
@@ -128,7 +128,7 @@ class StudyMirror:
             return replace(run, tags={**tags, "failure": str(progress.failed)}, status="FAILED")
         if len(parts) < n_items:
             return run
-        summary = stage.summarise_trial(self._store, chain, parts)
+        summary = stage.summarise_trial(chain, [StoredFiles(self._store, part) for part in parts])
         return replace(run, metrics=summary.metrics, artifacts=summary.artifacts, status="FINISHED")
 
 

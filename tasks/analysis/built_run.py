@@ -10,8 +10,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from scipy.signal import lombscargle
 
+from tasks.analysis.columns import column
 from tasks.analysis.estimates import Estimate
-from tasks.analysis.registry import column
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.simulation import OK, simulate

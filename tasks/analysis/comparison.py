@@ -18,9 +18,9 @@ from typing import Literal, get_args
 import numpy as np
 import scipy
 
+from tasks.analysis.columns import SCORE, column
 from tasks.analysis.estimates import Estimate, Mean, Sample, error_of, mean_of, sum_of_means
 from tasks.analysis.paper import NEGLIGIBLE
-from tasks.analysis.registry import SCORE, column
 from tasks.analysis.scores import QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
 from tasks.world import EnvironmentName
 

@@ -14,7 +14,7 @@ from tasks.design import Designs, kinematic_trees
 from tasks.world import EnsembleMedium, LinkStates, Physics
 
 
-def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, physics: Physics) -> Float32:
+def disagreement_along(designs: Designs, trace: Floats, ensemble: EnsembleMedium, physics: Physics) -> Float32:
     """Return how two or more members disagree along rollouts, in whichever environment these were made.
 
     A point r from a link's centre accelerates with a + α × r, whose mean square over the link is |a|² + α² I / m. So

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
+from tasks.analysis.columns import SCORE, OfTrial, ScoreUnit, column
 from tasks.analysis.estimates import Sample, sample_of
-from tasks.analysis.registry import SCORE, OfTrial, ScoreUnit, column
 from tasks.design import Designs
 from tasks.residual.learner import arm_kind, in_order
 from tasks.world import EnvironmentName

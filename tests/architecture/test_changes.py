@@ -59,7 +59,7 @@ searched = parse(Settings, given, name="searched", overrides=changes)
 store = Store.open(Path("store"), create=True)
 with serial_cluster() as cluster:
     upstream = run(settings, store, cluster)
-    DrivenStudy(searched, store, print).update(run(searched, store, cluster, STAGES[:4]))  # to the transfer
+    DrivenStudy(searched, store, print).update(run(searched, store, cluster, STAGES[:5]))  # to the transfer
 DrivenStudy(settings, store, print).update(upstream)
 for stage, results in upstream.items():
     for chain, manifests in results.done.items():
@@ -175,7 +175,7 @@ def test_a_target_an_objective_an_analysis_and_genes(tmp_path):
     wet = change.any(axis=1)
     assert wet.any() and not wet.all()
     np.testing.assert_allclose(change[wet], -LOST * velocity[wet], rtol=1e-3, atol=1e-5)
-    for stage in ("evolve", "transfer"):
+    for stage in ("evolve", "adapt"):
         (history,) = (out / stage / "honey").glob("**/history.parquet")
         table = polars.read_parquet(history)
         com, root = (np.stack(table[name].to_numpy())[:, 0] for name in ("com_displacement", "displacement"))

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tasks.analysis.registry import OfTrial, StudyData, analysis, column
+from tasks.analysis.columns import OfTrial, column
+from tasks.analysis.registry import analysis
+from tasks.analysis.study import StudyData
 from tasks.evolution.map_elites import CELL, measure_bodies
 
 
@@ -22,7 +24,7 @@ class Elite(OfTrial):
 @analysis(
     "elites",
     row=Elite,
-    reads=("evolve",),
+    reads=("populations",),
     answers="How fit is the best robot of each body length and size?",
     search="map_elites",
 )

@@ -24,6 +24,7 @@ import scipy
 from numpy.random import Generator
 
 from tasks.analysis import paper as stated
+from tasks.analysis.columns import column
 from tasks.analysis.comparison import VERDICTS, Verdict, compare, holm, judge, p_value
 from tasks.analysis.estimates import (
     LEVEL,
@@ -38,8 +39,9 @@ from tasks.analysis.estimates import (
     within_replicates,
 )
 from tasks.analysis.paper import BEST, DEPTH, N_ASSESSED, N_TRIALS, Figure
-from tasks.analysis.registry import StudyData, analysis, column
+from tasks.analysis.registry import analysis
 from tasks.analysis.scores import ScoredArm, ScoredTrial, arm_name, sample
+from tasks.analysis.study import StudyData
 from tasks.analysis.tables.regressions import regressions_of
 
 _FIGURE: Mapping[Figure, str] = {"r": "Pearson's R", "slope": "slope"}
@@ -81,7 +83,7 @@ def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
 @analysis(
     "paper",
     row=PaperRow,
-    reads=("transfer", "assess"),
+    reads=("champions", "predictions"),
     answers="Which results of the paper does this run confirm?",
     section="paper",
     version=2,

@@ -12,8 +12,10 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from tasks.analysis.columns import column
 from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, of_means
-from tasks.analysis.registry import Assessed, StudyData, analysis, column
+from tasks.analysis.registry import analysis
+from tasks.analysis.study import Assessed, StudyData
 from tasks.arrays import Float64, Int64
 from tasks.evolution import Deviation, penalised_mean
 from tasks.residual.learner import NO_LEARNERS, Learner, arm_kind
@@ -58,7 +60,7 @@ def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
 @analysis(
     "regressions",
     row=Regression,
-    reads=("assess",),
+    reads=("predictions",),
     answers="How well do the networks predict where designs get?",
     section="networks",
     shown=lambda row: row.name in (MEAN, CAUTIOUS),

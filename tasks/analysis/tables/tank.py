@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.analysis.registry import SCORE, OfTrial, StudyData, analysis, column
+from tasks.analysis.columns import SCORE, OfTrial, column
+from tasks.analysis.registry import analysis
+from tasks.analysis.study import StudyData
 from tasks.analysis.tank import TankTrials, count_crossings, crossings, nearest_the_mean, restarted
 from tasks.world import DryLand, Environment, Physics
 
@@ -29,7 +31,7 @@ class TankRow(OfTrial):
 @analysis(
     "tank",
     row=TankRow,
-    reads=("transfer",),
+    reads=("champions",),
     answers="Which robot is worth building, and would it cross the tank?",
     section="tank",
     each="arm",

@@ -6,14 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.analysis import paper
+from tasks.analysis.columns import SCORE, OfArm, ScoreUnit, column, percent
 from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
-from tasks.analysis.registry import SCORE, OfArm, ScoreUnit, StudyData, analysis, column, percent
+from tasks.analysis.registry import analysis
 from tasks.analysis.scores import ScoredTrial, arms
+from tasks.analysis.study import StudyData
 from tasks.residual.learner import LEARNERS
 from tasks.world import EnvironmentName
 
 
-@analysis("scores", row=ScoredTrial, reads=("transfer",), answers="How well does the champion of each trial do?")
+@analysis("scores", row=ScoredTrial, reads=("champions",), answers="How well does the champion of each trial do?")
 def scores(study: StudyData) -> Sequence[ScoredTrial]:
     """List every trial."""
     return study.trials
@@ -98,7 +100,7 @@ def _metrics(rows: Sequence[TransferRow]) -> dict[str, float | None]:
 @analysis(
     "transfer",
     row=TransferRow,
-    reads=("transfer",),
+    reads=("champions",),
     answers="How well do champions do in the target, by where they evolved?",
     section="transfer",
     metrics=_metrics,

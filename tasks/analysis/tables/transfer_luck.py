@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tasks.analysis.columns import SCORE, OfArm, column
 from tasks.analysis.estimates import Estimate, Mean, mean_of, sample_of, sum_of_means
-from tasks.analysis.registry import SCORE, OfArm, StudyData, analysis, column
+from tasks.analysis.registry import analysis
 from tasks.analysis.scores import Champion, arms
+from tasks.analysis.study import StudyData
 from tasks.design import Designs, jittered
 
 N_STARTS = 32
@@ -30,7 +32,7 @@ class LuckRow(OfArm):
 @analysis(
     "luck",
     row=LuckRow,
-    reads=("transfer",),
+    reads=("champions",),
     answers="How much of a score in the target is luck: from one start, and over starts that are a millimetre off?",
     section="transfer",
     cost=N_STARTS,

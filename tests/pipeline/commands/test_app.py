@@ -60,7 +60,7 @@ def test_a_study_from_the_command_line(finished, capsys):
     assert call("status", *finished[1:]) == 0
     said = capsys.readouterr().out
     assert "no process is driving it" in said
-    for stage in ("collect", "train", "evolve", "transfer", "report"):
+    for stage in ("collect", "train", "evolve", "adapt", "transfer", "report"):
         assert f"  {stage:<9} done" in said
 
 

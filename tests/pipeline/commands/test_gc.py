@@ -73,7 +73,7 @@ def test_items_made_with_earlier_networks_are_garbage_before_the_new_ones_exist(
     old = [*upstream["train"].done.values(), *upstream["assess"].done.values()]
     old += [
         chain
-        for stage in ("evolve", "transfer")
+        for stage in ("evolve", "adapt", "transfer")
         for trial, chain in upstream[stage].done.items()
         if settings.learner(trial.environment)
     ]

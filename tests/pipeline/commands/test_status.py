@@ -67,7 +67,7 @@ def test_studies_are_listed(store, capsys):
     said = capsys.readouterr().out
     assert said.startswith(f"3 studies in {store.root}\n")
     assert f"broken: {path}" in said and "tiny: done\n" in said and f"settings from {record.source}" in said
-    assert "longer: stage 3 of 7: evolve, 0 of 4 items" in said and "settings from preset smoke\n" in said
+    assert "longer: stage 3 of 8: evolve, 0 of 4 items" in said and "settings from preset smoke\n" in said
     assert (store.export_path("tiny") / "index.html").as_uri() in said
     assert call("studies", "--json", "--store", str(store.root)) == 0
     broken, longer, tiny = json.loads(capsys.readouterr().out)["studies"]

@@ -12,7 +12,7 @@ from pipeline.stages import STAGES, environments
 
 # Core-seconds of the study below on an AMD EPYC, beside other work.
 RECORDED = ["grid.depths=[2,9]", "grid.environments=[true_slush,dry_land,residual_slush,designed_throws]"]
-LAPTOP = {"train": 327, "evolve": 378, "transfer": 45, "assess": 18, "analyse": 12}
+LAPTOP = {"train": 327, "evolve": 378, "adapt": 45, "assess": 18, "analyse": 12}
 
 
 @pytest.mark.parametrize("name", preset_names())

@@ -14,7 +14,7 @@ from tank import filmed, write_tracks
 from pipeline.commands.options import StudyOptions
 from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import open_study
-from pipeline.stages.collect import COLLECT, TRANSITIONS, read_transitions
+from pipeline.stages.collect import COLLECT
 from pipeline.stages.tracked import check_tracks, report_lines, with_tracks
 from tasks.bench.tracks import Tracks, residual_transitions
 from tasks.residual import MeasuredTransitions
@@ -52,13 +52,12 @@ def keys(settings) -> dict[str, str]:
 def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
     folder, _ = collected
     shutil.copytree(folder / "store", tmp_path / "store")
-    for command in ("train", "evolve", "transfer"):
+    for command in ("train", "evolve", "adapt", "transfer"):
         where = ("tank", "--store", str(tmp_path / "store"), "--workers", "0")
         assert call(command, *where, *WITHOUT_MLFLOW) == 0
     study = open_study("tank", tmp_path / "store")
     assert study.settings.throws.source == "tracks" and study.settings.throws.n_throws == 4
-    ((part,),) = study.upstream["collect"].done.values()
-    found = read_transitions([{TRANSITIONS: study.store.read(part, TRANSITIONS)}])
+    found = study.reader.throws
     assert isinstance(found, MeasuredTransitions) and np.unique(found.throw)[-4:].tolist() == [0, 1, 2, 3]
     (champion,) = study.champions().to_pylist()
     scores = [champion[name] for name in ("predicted", "zero_shot", "adapted")]
@@ -80,7 +79,8 @@ def test_robots_of_tracks_are_tested_in_the_model_of_the_tank(collected, tmp_pat
     (trial,) = study.trials()
     assert trial.zero_shot == pytest.approx(trial.predicted, abs=0.05)
     assert np.isfinite(study.simulate(study.champion("residual_slush", depth=1.0, trial=0)).displacement).all()
-    assert call("transfer", *where, "--set", "target=flowing_slush", *WITHOUT_MLFLOW) == 0
+    for command in ("adapt", "transfer"):
+        assert call(command, *where, "--set", "target=flowing_slush", *WITHOUT_MLFLOW) == 0
     (trial,) = open_study("tank", tmp_path / "store").trials()
     assert np.isfinite([trial.zero_shot, trial.adapted]).all()
     kept = StudyOptions(study="tank", store=tmp_path / "store", tracks=folder / "tracks.csv").settings()

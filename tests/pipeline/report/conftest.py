@@ -13,7 +13,7 @@ from pipeline.config.settings import Settings
 from pipeline.report.network_figures import ThrowPaths
 from pipeline.report.page import StudyPage, draw_all
 from pipeline.report.replay import Replay, replay_of
-from tasks.analysis.registry import Assessed
+from tasks.analysis.study import Assessed
 from tasks.analysis.tables import ANALYSES
 from tasks.analysis.tables.exploiters import Exploiter
 from tasks.design import random_designs

@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 from matplotlib.mathtext import MathTextParser
 
 from pipeline.report.render import as_csv, as_html, as_json, as_latex, as_markdown, as_text, written
+from tasks.analysis.columns import column, environment_name, percent
 from tasks.analysis.estimates import MISSING, Estimate, Mean
-from tasks.analysis.registry import column, environment_name, percent
 from tasks.residual import LEARNERS
 from tasks.world import ENVIRONMENTS
 

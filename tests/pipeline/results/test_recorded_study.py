@@ -84,7 +84,7 @@ def test_what_is_on_record_is_read_although_something_before_it_was_lost(recorde
             store.discard(item.stage, item.key)
     found = open_study("tiny", root)
     assert found.progress["evolve"] == StageProgress(done=15, failed=0, missing=1)
-    assert found.progress["transfer"] == StageProgress(done=10, failed=0, missing=0)
+    assert found.progress["transfer"] == StageProgress(done=8, failed=0, missing=0)
     assert found.champions() == opened.champions()
     assert len(found.table("histories")) == len(opened.table("histories")) - POPULATION * N_GENERATIONS
     curves = read_page(found.settings, found.upstream, store).curves
@@ -206,16 +206,16 @@ def test_keys_are_refused_together(settings, recorded, tmp_path):
 
 
 def test_items_that_settings_no_longer_lead_to_are_counted(settings, recorded, opened, tmp_path):
-    """The champions of dry land adapted in one segment before they were scored."""
+    """Every trial evolved in two segments, and settings of fewer generations have one."""
     store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
-    transfer = settings.transfer.model_copy(update={"adapted_environments": ()})
-    fewer = settings.model_copy(update={"transfer": transfer}).model_dump(mode="json")
+    evolution = settings.evolution.model_copy(update={"n_generations": 3})
+    fewer = settings.model_copy(update={"evolution": evolution}).model_dump(mode="json")
     store.write_study(replace(store.read_study("tiny"), settings=fewer))
     found = open_study("tiny", store.root)
-    assert found.progress["transfer"] == StageProgress(done=2 * len(ARMS) + N_TRIALS, failed=0, missing=0)
+    assert found.progress["evolve"] == StageProgress(done=16, failed=0, missing=0)
     assert found.champions() == opened.champions()
-    status = study_status(found.settings, store, found.record, with_diverged=False).stages[3]
-    assert (status.state, status.n_done, status.n_items) == ("done", 10, 10)
+    status = study_status(found.settings, store, found.record, with_diverged=False).stages[2]
+    assert (status.state, status.n_done, status.n_items) == ("done", 16, 16)
 
 
 def test_a_damaged_history_is_named(recorded, tmp_path):
@@ -236,7 +236,7 @@ def test_a_study_is_read_by_its_recorded_keys(settings, recorded, opened, tmp_pa
     with serial_cluster() as cluster:  # what the settings below lead to
         run(other, store, cluster)
     store.write_study(replace(store.read_study("tiny"), settings=other.model_dump(mode="json")))
-    note = "shown as it was recorded.*results of collect, train, evolve, transfer, assess, analyse;"
+    note = "shown as it was recorded.*results of collect, train, evolve, adapt, assess, analyse;"
     with pytest.warns(UserWarning, match=note):
         found = puddle.open_study("tiny", store=root)
     assert found.champions() == opened.champions()

@@ -40,7 +40,7 @@ def test_a_stopped_study_is_resumed_by_the_same_call(study_file, monkeypatch, ca
         pass
     study = puddle.run_study(study_file, **call)
     said = capsys.readouterr()
-    assert "stage 3 of 7, evolve: 100%" in said.err and "\x1b" not in said.err and not said.out
+    assert "stage 3 of 8, evolve: 100%" in said.err and "\x1b" not in said.err and not said.out
     assert all(one.missing == one.failed == 0 for one in study.progress.values())
     assert (study.settings.seed, study.settings.evolution.n_generations) == (3, 6)
     assert study.settings.grid.environments == ("dry_land",)  # of the file

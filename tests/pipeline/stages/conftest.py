@@ -7,8 +7,9 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.stages.analyse import read_columns
+from pipeline.stages.analyse import table_file
 from pipeline.store.store import Store
+from pipeline.workflow.stage import StoredFiles
 from tasks.analysis.tables import ANALYSES
 
 SETS = """
@@ -52,6 +53,6 @@ def analysed():
     def read(finished, table: str, of: str = ""):
         store, upstream = finished
         (done,) = labelled(upstream["analyse"].done)[table + of]
-        return read_columns({f"{table}.parquet": store.read(done, f"{table}.parquet")}, ANALYSES[table])
+        return table_file(ANALYSES[table]).read([StoredFiles(store, done)])
 
     return read

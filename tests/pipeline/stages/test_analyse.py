@@ -6,10 +6,10 @@ from small_study import files_of, inputs_of, labelled
 
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
-from pipeline.stages.analyse import ANALYSE, read_columns
-from pipeline.stages.assess import ASSESS, read_predictions
-from pipeline.stages.trial_scores import scored_trial
-from pipeline.store.encoding import decode_table
+from pipeline.stages.analyse import ANALYSE, table_file
+from pipeline.stages.assess import ASSESS
+from pipeline.stages.files import HISTORY, PREDICTIONS
+from pipeline.stages.reader import read_study
 from pipeline.workflow.identity import TrialId
 from tasks.analysis.tables import ANALYSES
 from tasks.design import Designs
@@ -24,7 +24,7 @@ def computed(settings, upstream, store, change=lambda inputs: inputs):
     for chain in ANALYSE.plan(settings):
         item = ANALYSE.item(settings, chain, 0, None, upstream)
         files = ANALYSE.compute(item, change(inputs_of(store, item)))
-        tables[chain.label] = read_columns(files, ANALYSES[chain.spec.analysis])
+        tables[chain.label] = table_file(ANALYSES[chain.spec.analysis]).read([files])
     return tables
 
 
@@ -33,7 +33,7 @@ def tables(study):
     """Columns by label: the analysis, and its arm if there is one."""
     store, upstream = study
     return {
-        label: read_columns(files_of(store, done), ANALYSES[label.split("/")[0]])
+        label: table_file(ANALYSES[label.split("/")[0]]).read([files_of(store, done)])
         for label, (done,) in labelled(upstream["analyse"].done).items()
     }
 
@@ -41,15 +41,14 @@ def tables(study):
 @pytest.fixture(scope="module")
 def predictions(study):
     store, upstream = study
-    return read_predictions([files_of(store, done) for (done,) in upstream["assess"].done.values()])
+    return PREDICTIONS.read([files_of(store, done) for (done,) in upstream["assess"].done.values()])
 
 
 @pytest.fixture(scope="module")
-def scores(study):
+def scores(settings, study):
     store, upstream = study
-    done = upstream["transfer"].done.items()
-    found = [scored_trial(trial, files_of(store, parts[-1])) for trial, parts in done]
-    return {(one.environment, one.depth, one.trial): one for one in found}
+    trials = read_study(settings, upstream, store).trials
+    return {(scored.environment, scored.depth, scored.trial): scored for scored in trials}
 
 
 def rows(table, *names):
@@ -64,9 +63,7 @@ def test_assessed_designs_are_those_of_the_histories(settings, study, prediction
     assert sorted(counts) == [5, 5, 5, 6]
     for environment in ("true_slush", "dry_land"):
         segments = upstream["evolve"].done[TrialId("evolve", environment, 1.0, 0)]
-        parts = [store.read(segment, "history.parquet") for segment in segments]
-        tables = [decode_table(part, schema="history", version=1, source="") for part in parts]
-        history = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+        history = HISTORY.read([files_of(store, segment) for segment in segments])
         mine = (predictions["environment"] == environment) & (predictions["trial"] == 0)
         at = np.searchsorted(history["identity"], predictions["identity"][mine])
         drawn = Designs(**{name: predictions[name][mine] for name in DTYPES})
@@ -126,7 +123,7 @@ def test_the_assessed_depth_is_the_papers_or_the_deepest():
 
 def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_compared(settings, study):
     store, upstream = study
-    summary = ANALYSE.summarise(settings, upstream["analyse"], store)
+    summary = ANALYSE.summarise(settings, upstream, store)
     assert summary.of_study
     assert {"scores.csv", "paper.csv", "exploiters.csv"} <= set(summary.artifacts)
     metrics = ("accuracy.r.mean", "accuracy.slope.mean_less_1_sd", "hallucinated.worst_champion")

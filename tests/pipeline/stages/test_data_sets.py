@@ -6,15 +6,14 @@ from small_study import labelled
 
 from pipeline.results import study_tables
 from pipeline.stages import environments
-from pipeline.stages.assess import PREDICTIONS, read_predictions
-from pipeline.stages.collect import COLLECT, TRANSITIONS
+from pipeline.stages.collect import COLLECT
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
-from pipeline.stages.environments import WEIGHTS
-from pipeline.stages.segments import HISTORY, trial_spec
+from pipeline.stages.files import HISTORY, PREDICTIONS, SCORE, TRANSITIONS, WEIGHTS
+from pipeline.stages.segments import trial_spec
 from pipeline.stages.train import TRAIN
-from pipeline.stages.transfer import SCORE
-from pipeline.store.encoding import decode_json, decode_table
+from pipeline.store.encoding import decode_json
 from pipeline.workflow.identity import TrialId, trials_of
+from pipeline.workflow.stage import StoredFiles
 
 
 def trial(environment, index):
@@ -49,7 +48,7 @@ def test_data_sets_and_networks_all_differ(sets, settings_with):
     networks = {store.read(done, WEIGHTS) for (done,) in upstream["train"].done.values()}
     assert len(networks) == len(network_ids(settings_with())) == 8
     first = {
-        label: decode_table(store.read(done, TRANSITIONS), schema="transitions", version=1, source=label)
+        label: TRANSITIONS.read([StoredFiles(store, done)])
         for label, (done,) in labelled(upstream["collect"].done).items()
     }
     assert list(first) == [
@@ -68,7 +67,7 @@ def test_both_ensembles_are_assessed_on_the_same_designs(sets, analysed):
     shares = labelled(upstream["assess"].done)
     for k in range(3):
         one, other = (
-            read_predictions([{PREDICTIONS: store.read(shares[label][0], PREDICTIONS)}])
+            PREDICTIONS.read([StoredFiles(store, shares[label][0])])
             for label in (f"{learner}/true_slush/1m/trial-{k}" for learner in ("residual_slush", "designed_throws"))
         )
         assert (one["true"] == other["true"]).all() and (one["predicted"] != other["predicted"]).any()
@@ -124,7 +123,7 @@ def test_fitness_is_the_mean_over_members_less_their_disagreement(sets):
     store, upstream = sets
     n_members = {"true_slush": 1, "single_member": 1, "residual_slush": 2, "randomised_slush": 3}
     for trial, segments in upstream["evolve"].done.items():
-        history = decode_table(store.read(segments[0], HISTORY), schema="history", version=1, source=HISTORY)
+        history = HISTORY.read([StoredFiles(store, segments[0])])
         by_member = history["displacement"]
         assert by_member.shape[1] == n_members.get(trial.environment, by_member.shape[1])
         deviation = by_member.std(axis=1, ddof=1) if by_member.shape[1] > 1 else 0.0

@@ -1,13 +1,11 @@
 """Messages about designs that diverged, from tables made by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from pipeline.stages.divergence import in_assessment, in_transfer, in_trial, somewhere
+from pipeline.stages.divergence import in_adaptation, in_assessment, in_transfer, in_trial, somewhere
 from pipeline.stages.segments import DRAWN, REJECTED
-from pipeline.stages.trial_scores import NO_CHAMPION, TrialScores
+from pipeline.stages.trial_scores import NO_CHAMPION
 from tasks.evolution import OPERATORS
 
 
@@ -36,25 +34,29 @@ def test_trials(n_diverged, best, said):
 
 
 @pytest.mark.parametrize(
-    ("scores", "adaptation", "said"),
+    ("n_diverged", "best", "said"),
     [
-        ({}, None, None),
-        ({"adapted": 2.0}, curve([0, 0]), None),
-        ({"zero_shot": np.nan}, None, "the champion diverged in the target"),
-        (
-            {"zero_shot": np.nan, "adapted": 2.0},
-            curve([0, 2]),
-            "2 of 1,000 designs of the adaptation diverged and were discarded; the first in generation 8; "
-            "the champion diverged in the target",
-        ),
-        ({"adapted": np.nan}, curve([0, 0]), "the adapted champion diverged in the target"),
-        ({}, curve([500], best=-np.inf), "not adapted: every design of the adaptation diverged"),
+        ([0, 0], 1.0, None),
+        ([0, 2], 1.0, "2 of 1,000 designs of the adaptation diverged and were discarded; the first in generation 8"),
+        ([500], -np.inf, "not adapted: every design of the adaptation diverged"),
     ],
 )
-def test_transfers(scores, adaptation, said):
-    champion = TrialScores(fitness=1.0, predicted=1.0, predicted_sd=None, zero_shot=1.0, zero_shot_com=1.0)
-    assert in_transfer(replace(champion, **scores), adaptation) == said
-    assert in_transfer(None, adaptation) is None  # it is left to evolution
+def test_adaptations(n_diverged, best, said):
+    assert in_adaptation(curve(n_diverged, best=best)) == said
+
+
+@pytest.mark.parametrize(
+    ("scores", "said"),
+    [
+        ({"zero_shot": 1.0}, None),
+        ({"zero_shot": 1.0, "adapted": 2.0}, None),
+        ({"zero_shot": None, "adapted": 2.0}, "the champion diverged in the target"),
+        ({"zero_shot": 1.0, "adapted": None}, "the adapted champion diverged in the target"),
+        (None, None),  # it is left to evolution
+    ],
+)
+def test_transfers(scores, said):
+    assert in_transfer(scores) == said
 
 
 def test_assessments_count_each_design_once():

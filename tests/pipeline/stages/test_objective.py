@@ -20,11 +20,11 @@ from pipeline.results.comparisons import compare_studies
 from pipeline.results.recorded_study import open_study
 from pipeline.stages import environments
 from pipeline.stages.evolve import EVOLVE
-from pipeline.stages.segments import CURVE, HISTORY, POPULATION, population_of
-from pipeline.store.encoding import decode_table
+from pipeline.stages.files import CURVE, HISTORY
+from pipeline.stages.segments import population_of
 from pipeline.store.store import Store
 from pipeline.workflow.record import DrivenStudy, settings_of
-from pipeline.workflow.stage import Execution
+from pipeline.workflow.stage import Execution, StoredFiles
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES, Objective
 
@@ -50,28 +50,28 @@ def fast(tmp_path_factory, settings):
         return store, run(settings, store, cluster)
 
 
-@pytest.mark.parametrize("stage", ["evolve", "transfer"])
+@pytest.mark.parametrize("stage", ["evolve", "adapt"])
 def test_designs_and_adapted_controllers_are_selected_for_it(fast, settings, stage):
     store, upstream = fast
     for trial, (segment, *_) in upstream[stage].done.items():
         files = {name: store.read(segment, name) for name in segment.files}
-        population = population_of({POPULATION: files[POPULATION]})
+        population = population_of(files)
         home = trial.environment if stage == "evolve" else "true_slush"
         simulation = environments.simulation_spec(settings, home)
         environment = environments.build_environment(simulation.media, home, 1.0, {})
         rollouts = environments.roll_out(simulation, Execution(), environment, population.designs)
         np.testing.assert_array_equal(population.fitness, rollouts.second_half_speed)
-        history = decode_table(files[HISTORY], schema="history", version=1, source=HISTORY)
+        history = HISTORY.read([files])
         assert history["fitness"].max() == population.fitness[population.champion()]
         assert (history["fitness"] != history["displacement"][:, 0]).any()
 
 
 def test_tables_and_the_page_name_it_and_state_its_unit(fast, settings, tmp_path):
     store, upstream = fast
-    lines = EVOLVE.summarise(settings, upstream["evolve"], store).lines
+    lines = EVOLVE.summarise(settings, upstream, store).lines
     assert lines[0] == "fitness: speed in the second half [m/s]"
     (segment,) = labelled(upstream["evolve"].done)["dry_land/1m/trial-0"]
-    for name, column in ((HISTORY, "fitness"), (CURVE, "best_fitness")):
+    for name, column in ((HISTORY.name, "fitness"), (CURVE.name, "best_fitness")):
         path = tmp_path / name
         path.write_bytes(store.read(segment, name))
         assert json.loads(pq.read_schema(path).metadata[b"puddle"])["units"][column] == "m/s"
@@ -195,10 +195,10 @@ def evolved(settings, tmp_path):
     with serial_cluster() as cluster:
         upstream = run(settings, store, cluster, [EVOLVE])
     for trial, segments in upstream["evolve"].done.items():
-        (history,) = (store.read(segment, HISTORY) for segment in segments)
+        history = HISTORY.read([StoredFiles(store, segment) for segment in segments])
         simulation = environments.simulation_spec(settings, trial.environment)
         environment = environments.build_environment(simulation.media, trial.environment, 1.0, {})
-        yield decode_table(history, schema="history", version=1, source=HISTORY), simulation, environment
+        yield history, simulation, environment
 
 
 def test_displacement_per_energy_is_selected_for(settings, tmp_path):

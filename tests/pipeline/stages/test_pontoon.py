@@ -12,13 +12,14 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.stages.analyse import ANALYSE, read_columns
+from pipeline.stages.analyse import ANALYSE, table_file
 from pipeline.stages.evolve import EVOLVE
+from pipeline.stages.files import HISTORY
 from pipeline.stages.report import PAGE, REPORT
 from pipeline.store.design_file import design_from
-from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, OutputId
+from pipeline.workflow.stage import StoredFiles
 from tasks.analysis.tables import ANALYSES
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.servos import SERVOS
@@ -68,7 +69,7 @@ def built(pontoon, tmp_path_factory):
 def tank(built):
     store, upstream = built
     (done,) = upstream["analyse"].done[OutputId("tank", Arm("designed_throws", 2.0))]
-    return read_columns(files_of(store, done), ANALYSES["tank"])
+    return table_file(ANALYSES["tank"]).read([files_of(store, done)])
 
 
 def test_the_preset_is_what_the_paper_built_within_what_servos_give():
@@ -110,27 +111,20 @@ def test_settings_that_contradict_one_another_are_refused(text, message):
 
 def test_everything_that_evolves_can_be_built(pontoon, built):
     store, upstream = built
-    for stage in ("evolve", "transfer"):
+    for stage in ("evolve", "adapt"):
         for label, segments in labelled(upstream[stage].done).items():
             for segment in segments:
-                if "history.parquet" not in segment.files:
-                    continue
-                history = decode_table(
-                    store.read(segment, "history.parquet"), schema="history", version=1, source=label
-                )
-                designs = Designs.from_arrays(history)
+                designs = Designs.from_arrays(HISTORY.read([StoredFiles(store, segment)], label))
                 assert pontoon.evolution.morphology.allows(designs).all()
                 assert (designs.motor_on.sum(axis=1) == 2).all()
 
 
 def test_the_share_of_rejected_draws_is_reported(pontoon, built):
     store, upstream = built
-    summary = EVOLVE.summarise(pontoon, upstream["evolve"], store)
-    segments = [segment for parts in upstream["evolve"].done.values() for segment in parts]
-    files = [store.read(segment, "history.parquet") for segment in segments]
-    histories = [decode_table(file, schema="history", version=1, source="history") for file in files]
-    draws = np.concatenate([history["n_draws"] for history in histories])
-    codes = np.concatenate([history["operator"] for history in histories])
+    summary = EVOLVE.summarise(pontoon, upstream, store)
+    segments = [StoredFiles(store, segment) for items in upstream["evolve"].done.values() for segment in items]
+    history = HISTORY.read(segments)
+    draws, codes = history["n_draws"], history["operator"]
     assert summary.metrics["rejected_share.random"] > 0.99
     for code, operator in enumerate(OPERATORS):
         mine = draws[codes == code]
@@ -156,9 +150,9 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
 def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, tank, tmp_path, capsys):
     store, upstream = built
     (trial,) = tank["trial"][tank["proposed"]].tolist()
-    summary = ANALYSE.summarise(pontoon, upstream["analyse"], store)
+    summary = ANALYSE.summarise(pontoon, upstream, store)
     assert "Which robot is worth building, and would it cross the tank?" in summary.lines
-    summary = REPORT.summarise(pontoon, upstream["report"], store)
+    summary = REPORT.summarise(pontoon, upstream, store)
     (path,) = (line.removesuffix(": a robot to build") for line in summary.lines if line.endswith("a robot to build"))
     page = summary.artifacts[PAGE].decode()
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
@@ -183,6 +177,6 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
 def test_a_study_without_a_tank_proposes_no_design(settings, study):
     store, upstream = study
     assert not [label for label in labelled(upstream["analyse"].done) if label.startswith("tank/")]
-    summary = REPORT.summarise(settings, upstream["report"], store)
+    summary = REPORT.summarise(settings, upstream, store)
     assert len(summary.lines) == 1
     assert 'id="tank"' not in summary.artifacts[PAGE].decode()

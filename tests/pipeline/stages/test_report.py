@@ -7,12 +7,10 @@ import pytest
 from small_study import inputs_of
 
 from pipeline.report.render import typeset
-from pipeline.stages.environments import MEMBER
+from pipeline.stages.files import SCORE
+from pipeline.stages.reader import data_spec, read_inputs, read_study
 from pipeline.stages.replays import replays_of
-from pipeline.stages.report import ANALYSED, FILM, PAGE, REPORT
-from pipeline.stages.study_data import StudyFiles, data_spec
-from pipeline.stages.transfer import SCORED
-from pipeline.stages.trial_scores import SCORE, scored_trial
+from pipeline.stages.report import FILM, PAGE, REPORT
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.workflow.identity import trials_of
 from pipeline.workflow.stage import Execution, Failure
@@ -32,14 +30,14 @@ def inputs(study, settings):
 
 def best(settings, inputs):
     """The replays of the best champions, by where they evolved and where they are seen."""
-    study = StudyFiles(data_spec(settings, trials_of(settings, "transfer")), Execution(), inputs)
+    study = read_inputs(data_spec(settings, trials_of(settings, "transfer")), Execution(), inputs)
     return {(one.environment, one.seen_in): one for one in replays_of(study) if one.best}
 
 
 def with_scores(inputs, **changes):
     return {
         name: {**files, SCORE: encode_json(decode_json(files[SCORE], name.label) | changes)}
-        if name.role == SCORED
+        if name.role == "champions"
         else files
         for name, files in inputs.items()
     }
@@ -62,7 +60,7 @@ def test_the_best_of_every_arm_is_seen_in_true_slush_and_where_it_evolved(settin
 
 
 def test_without_networks_and_analysis_there_is_what_needs_none(settings, inputs):
-    bare = {name: files for name, files in inputs.items() if name.role not in (MEMBER, ANALYSED)}
+    bare = {name: files for name, files in inputs.items() if name.role not in ("networks", "tables")}
     found = best(settings, bare)
     assert set(found) == {("dry_land", "Dry Land"), *((name, "True Slush") for name in ("true_slush", "dry_land"))}
     assert all(replay.disagreement is None for replay in found.values())
@@ -75,7 +73,7 @@ def test_champions_without_scores_in_true_slush_are_shown_where_they_evolved(set
 
 def test_there_is_one_film_and_a_replay_of_every_champion(study, settings):
     store, upstream = study
-    summary = REPORT.summarise(settings, upstream["report"], store)
+    summary = REPORT.summarise(settings, upstream, store)
     folder = store.export_path(settings.name)
     assert {path.name for path in folder.glob("*.gif")} | {path.name for path in folder.glob("*.mp4")} == {
         f"{FILM}.gif",
@@ -83,8 +81,8 @@ def test_there_is_one_film_and_a_replay_of_every_champion(study, settings):
     }
     assert {f"{FILM}.mp4", f"{FILM}.gif", PAGE, "scores.csv"} <= set(summary.artifacts)
     assert not any(name.startswith("robot-") for name in summary.artifacts)
-    for trial, parts in upstream["transfer"].done.items():
-        one = scored_trial(trial, {SCORE: store.read(parts[-1], SCORE)})
+    trials = zip(upstream["transfer"].done, read_study(settings, upstream, store).trials, strict=True)
+    for trial, one in trials:
         page = summary.films[trial.in_stage("evolve")]["replay.html"].decode()
         assert f"trial {trial.index}</h1>" in page and "http" not in page.replace("http-equiv", "")
         assert typeset(f"True Slush, 1 m deep: {one.zero_shot:z.1f} m in") in page

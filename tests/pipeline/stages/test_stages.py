@@ -50,7 +50,7 @@ def test_contract(stage, settings, study):
         assert {source.manifest.stage for source in item.inputs.values()} <= {stage.name, *stage.reads(settings)}
         manifest = store.manifest(item.stage, item.key)
         assert files_of(store, manifest) == stage.compute(item, inputs_of(store, item))  # pure: the same bytes again
-    summary = stage.summarise(settings, upstream[stage.name], store)
+    summary = stage.summarise(settings, upstream, store)
     lines = [line.replace(str(store.root), "store") for line in summary.lines]
     assert lines and max(map(len, lines)) <= 78  # it fits a terminal, with an indentation of two
     assert all(np.isfinite(value) for value in summary.metrics.values())

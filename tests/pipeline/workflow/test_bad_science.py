@@ -13,7 +13,8 @@ import pipeline.mlflow.mirror
 import pipeline.stages
 from pipeline.commands.terminal import INCOMPLETE
 from pipeline.stages import STAGES
-from pipeline.stages.collect import read_transitions, throws_among
+from pipeline.stages.collect import throws_among
+from pipeline.stages.reader import read_transitions
 from pipeline.store.store import Store
 from pipeline.workflow.stage import AnyStage, Files, Inputs, Item
 from tasks.residual.training import train_member
@@ -88,7 +89,9 @@ def test_failures_are_named_and_the_rest_completes(options, monkeypatch, tmp_pat
 
 
 def test_designs_that_diverge_are_named_and_end_a_command_with_its_code(options, monkeypatch, capsys):
-    diverged = {"diverged": lambda settings, results, store: dict.fromkeys(results.done, "3 designs diverged")}
+    diverged = {
+        "diverged": lambda settings, upstream, store: dict.fromkeys(upstream["evolve"].done, "3 designs diverged")
+    }
     monkeypatch.setattr(pipeline.stages, "STAGES", tuple(dataclasses.replace(stage, **diverged) for stage in STAGES))
     assert call("evolve", *options, "--set", "grid.environments=[dry_land]", "--workers", "0") == INCOMPLETE
     assert "evolve: dry_land/1m/trial-2: 3 designs diverged" in capsys.readouterr().err

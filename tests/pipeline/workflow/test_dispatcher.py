@@ -9,9 +9,8 @@ from small_study import ON_DRY_LAND, digests, run
 from pipeline.cluster import Cluster, Ticket, serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
+from pipeline.stages.adapt import ADAPT
 from pipeline.stages.evolve import EVOLVE
-from pipeline.stages.segments import SegmentSpec
-from pipeline.stages.transfer import TRANSFER
 from pipeline.store.store import Store
 from pipeline.workflow.stage import AnyStage, Files, Inputs, Item
 
@@ -32,13 +31,12 @@ class Batches:
 
     def __init__(self, inner: Cluster, n_cores: float = 1.0) -> None:
         self.inner, self.n_cores, self.batches = inner, n_cores, list[list[int]]()
-        self.batched = set[tuple[str, bool]]()
-        """Stages with batches, and whether those were of segments."""
+        self.batched = set[str]()  # stages with batches
 
     def submit(self, function, compute, compute_batch, items, *rest, **options) -> Ticket:
         self.batches.append([item.spec.trial.identity.index for item in items])
         if len(items) > 1:
-            self.batched.add((items[0].spec.trial.identity.stage, isinstance(items[0].spec, SegmentSpec)))
+            self.batched.add(items[0].stage)
         return self.inner.submit(function, compute, compute_batch, items, *rest, **options)
 
     def __getattr__(self, name: str):
@@ -53,14 +51,14 @@ def _batched(root, *overrides: str, stage: AnyStage = EVOLVE, n_cores: float = 1
     return found, cluster.batches
 
 
-def test_adaptations_and_scores_are_batched_too_and_on_ray(tmp_path, local_ray):
-    settings, stages = tiny(*BATCHED), (EVOLVE, TRANSFER)
+def test_adaptations_are_batched_too_and_on_ray(tmp_path, local_ray):
+    settings, stages = tiny(*BATCHED), (EVOLVE, ADAPT)
     with serial_cluster() as inner:
         alone = run(settings, Store.open(tmp_path / "alone", create=True), inner, list(map(_unbatched, stages)))
     cluster = Batches(local_ray)
     together = run(settings, Store.open(tmp_path / "together", create=True), cluster, stages)
     assert digests(together) == digests(alone)
-    assert cluster.batched == {("evolve", True), ("transfer", True), ("transfer", False)}
+    assert cluster.batched == {"evolve", "adapt"}
 
 
 def _unbatched(stage: AnyStage) -> AnyStage:

@@ -91,7 +91,7 @@ def refusal(name: str, settings: Settings, store: Store) -> str:
     return str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["train", "evolve", "transfer", "assess", "analyse", "report"])
+@pytest.mark.parametrize("name", ["train", "evolve", "adapt", "transfer", "assess", "analyse", "report"])
 def test_a_stage_whose_inputs_are_missing_says_which_and_how_to_get_them(name, serial_run, tmp_path):
     """The first stage to run is named, however far upstream it is; trials never evolved are missing, not failed."""
     store, upstream = serial_run

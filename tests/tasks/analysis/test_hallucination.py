@@ -3,7 +3,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from tasks.analysis.hallucination import disagreement
+from tasks.analysis.hallucination import disagreement_along
 from tasks.design import random_designs
 from tasks.simulation import simulate
 from tasks.world import LinkStates, Physics, ResidualSlush, Slush, VelocityChange
@@ -13,7 +13,7 @@ PHYSICS = Physics()
 
 def test_a_planted_hallucination_is_located(study):
     """Right links and steps: one of four says 3 m/s², the others 0, a deviation of 3 √(3/16), along x alone."""
-    found = disagreement(study.designs, study.trace, study.planted, PHYSICS)
+    found = disagreement_along(study.designs, study.trace, study.planted, PHYSICS)
     length_scale = np.broadcast_to(study.designs.length_scale[:, None], found.shape)
     false = (length_scale > 2.5) & (study.trace[..., 1] < 0)
     rounding = 60 * 2**-22  # float32's, of a velocity over a step
@@ -39,7 +39,7 @@ def test_states_of_a_trace_are_those_that_the_engine_shows_a_medium():
     designs, engine, analysis = random_designs(2, np.random.default_rng(1)), Witness(), Witness()
     environment = ResidualSlush(depth=2.0, ensemble=engine)
     trace = simulate(designs, environment, n_settle=0, n_measure=30, engine="reference", trace=True).trace
-    disagreement(designs, trace[0], analysis, PHYSICS)
+    disagreement_along(designs, trace[0], analysis, PHYSICS)
     (links,) = analysis.asked
     assert links.y.shape == (1, 2, 30, 6)
     for name in vars(links):
@@ -63,5 +63,5 @@ def test_disagreement_is_the_root_mean_square_of_a_links_points():
     length = designs.length_scale[0, 0]
     x, y = np.meshgrid((np.arange(400) + 0.5) / 400 - 0.5, (np.arange(400) + 0.5) / 400 - 0.5)
     mean_square = np.mean((3 - 2 * y * length) ** 2 + (4 + 2 * x / length) ** 2)
-    found = disagreement(designs, np.zeros((1, 1, 6, 6), np.float32), Opposed(), PHYSICS)
+    found = disagreement_along(designs, np.zeros((1, 1, 6, 6), np.float32), Opposed(), PHYSICS)
     assert found[0, 0, 0] == pytest.approx(np.sqrt(mean_square), rel=1e-5)

@@ -9,8 +9,8 @@ from scores_of import spread, study_of
 
 from tasks.analysis.estimates import Sample, components, ratio
 from tasks.analysis.paper import AGGREGATES, MEANS, RATIOS, STATEMENTS
-from tasks.analysis.registry import Assessed
 from tasks.analysis.scores import sample
+from tasks.analysis.study import Assessed
 from tasks.analysis.tables.paper import paper
 from tasks.analysis.tables.regressions import accuracy
 

@@ -8,7 +8,8 @@ import pytest
 from scipy import stats
 
 from tasks.analysis.estimates import MISSING
-from tasks.analysis.registry import ANALYSES, Assessed
+from tasks.analysis.registry import ANALYSES
+from tasks.analysis.study import Assessed
 from tasks.analysis.tables.regressions import accuracy, predictors_of, regressions
 
 
