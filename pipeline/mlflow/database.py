@@ -45,8 +45,10 @@ def open_client(store: Path, uri: str | None) -> Any:
         os.environ.setdefault(name, value)
     if uri is not None:
         check_reachable(uri)
+    from mlflow.store.db import utils
     from mlflow.tracking import MlflowClient
 
+    utils.MAX_RETRY_COUNT = 2  # a database that can't be opened costs a moment per stage, by default 100 s
     logging.getLogger("mlflow").setLevel(logging.WARNING)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     if uri is None and (store / "mlflow.db").exists():

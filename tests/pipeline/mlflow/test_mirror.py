@@ -217,6 +217,14 @@ def test_an_unreachable_server_is_noticed_within_seconds_and_once(tmp_path, monk
     assert not (tmp_path / "mlflow.db").exists()
 
 
+def test_a_database_that_cannot_be_opened_is_noticed_within_seconds(tmp_path):
+    said: list[str] = []
+    begin = time.monotonic()
+    Tracker(tmp_path, f"sqlite:///{tmp_path}", say=said.append).mirror(STUDY, STAGE)  # a folder
+    assert time.monotonic() - begin < 20  # MLflow itself tries for 100
+    assert len(said) == 1 and "unable to open database file" in said[0]
+
+
 @pytest.mark.parametrize("n", [1, 100, 101, 250])
 def test_a_thinned_curve_ends_where_the_whole_one_does(n):
     points = _thinned(lambda: CurvePoints(range(n), {"fitness": [float(k) for k in range(n)]}), 100)
