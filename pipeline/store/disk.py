@@ -11,7 +11,6 @@ import errno
 import fcntl
 import hashlib
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,7 +21,6 @@ from pipeline.errors import PuddleError
 _SECONDS_TO_LOCK = 0.5  # a query holds a lock for an instant
 _NO_FLUSH = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
 """What file systems say that flush no folders, such as VirtualBox's shared ones; none means that the disk fails."""
-_unflushed: set[int] = set()  # devices of which the user has been told that
 
 
 def read(path: Path) -> bytes:
@@ -46,10 +44,6 @@ def fsync(path: Path) -> None:
     except OSError as error:
         if error.errno not in _NO_FLUSH or not path.is_dir():
             raise
-        if (device := os.fstat(descriptor).st_dev) not in _unflushed:
-            _unflushed.add(device)
-            what = f"{path}: its file system flushes files but no folders ({error.strerror})"
-            print(f"{what}: a power cut may lose the last results.", file=sys.stderr, flush=True)
     finally:
         os.close(descriptor)
 

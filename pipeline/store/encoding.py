@@ -2,8 +2,7 @@
 
 Equal values give equal bytes (with the same pyarrow), so that a digest can stand for the content. Each file names its
 format, a schema and a version, in one JSON text under the key ``puddle`` of its metadata: safetensors writes several
-keys in random order. The metadata also holds a SHA-256 of the values, which is part of the format; reading relies on
-the manifest's.
+keys in random order.
 """
 
 import hashlib
@@ -120,10 +119,10 @@ def encode_table(
         units: units of columns, by name; SI where not named.
     """
     arrays = {name: _pure_array(array) for name, array in columns.items()}
-    label = _label(arrays, {"schema": schema, "version": version, "producer": producer, "units": dict(units or {})})
+    format_: Json = {"schema": schema, "version": version, "producer": producer, "units": dict(units or {})}
     parts = [_arrow_column(array) for array in arrays.values()]
     fields = [pa.field(name, part.type, nullable=False) for name, part in zip(arrays, parts, strict=True)]
-    table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={_METADATA_KEY: label}))
+    table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={_METADATA_KEY: canonical_json(format_)}))
     sink = pa.BufferOutputStream()
     texts = [name for name, array in arrays.items() if array.dtype.kind == "U"]  # dictionaries of numbers save nothing
     pq.write_table(table, sink, compression="zstd", use_dictionary=texts, write_page_checksum=True)
@@ -183,8 +182,8 @@ def encode_arrays(arrays: Mapping[str, Array], *, schema: str, version: int, pro
         producer: key of the work item that produced them.
     """
     pure = {name: _pure_array(arrays[name]) for name in sorted(arrays)}
-    label = _label(pure, {"schema": schema, "version": version, "producer": producer, "metadata": {}})
-    return bytes(safetensors.numpy.save(pure, metadata={_METADATA_KEY: label}))
+    format_ = canonical_json({"schema": schema, "version": version, "producer": producer})
+    return bytes(safetensors.numpy.save(pure, metadata={_METADATA_KEY: format_.decode()}))
 
 
 def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Array]:
@@ -205,20 +204,7 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> dic
     return {name: np.array(loaded[name]) for name in sorted(loaded)}  # the loaded ones are read-only
 
 
-# -- the label of tables and arrays ----------------------------------------------------------------------------------
-
-
 def _pure_array(array: Array) -> Array:
     """Return an array in C order and little endian."""
     array = np.asarray(array, order="C")
     return array.astype(array.dtype.newbyteorder("<"), copy=False)
-
-
-def _label(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
-    """Return a file's label: its metadata and a SHA-256 over that and every name, type, shape and value."""
-    kinds = ["text" if array.dtype.kind == "U" else array.dtype.str for array in arrays.values()]
-    shapes: list[Json] = [[name, kind, arrays[name].shape] for name, kind in zip(arrays, kinds, strict=True)]
-    content = hashlib.sha256(canonical_json([said, shapes]))
-    for array in arrays.values():
-        content.update(canonical_json(array.tolist()) if array.dtype.kind == "U" else array.data)
-    return canonical_json({**said, "sha256": content.hexdigest()}).decode()
