@@ -7,8 +7,7 @@ import typer
 from pipeline.cluster.process import number_of_cores
 from pipeline.commands.options import StudyOptions, with_options
 from pipeline.commands.terminal import to_stdout
-from pipeline.commands.time_model import forecast_stages, training_gpu_seconds
-from pipeline.errors import PuddleError
+from pipeline.commands.time_model import forecast_stages
 
 _HOUR = 3600.0
 
@@ -19,22 +18,14 @@ def forecast(
     cores: Annotated[
         int | None, typer.Option("--cores", min=1, help="Cores to forecast for; this machine's by default.")
     ] = None,
-    gpu_tflops: Annotated[
-        float | None,
-        typer.Option("--gpu-tflops", min=0.001, help="Rate at which a GPU trains, for its time [TFLOP/s]."),
-    ] = None,
-    gpu_price: Annotated[float, typer.Option("--gpu-price", min=0.0, help="Price of an hour of that GPU.")] = 0.0,
 ) -> None:
     """Estimate time and disk of the rest of a study.
 
     By what the store measured of such work, or else by a table; right within a factor of two.
     """
-    if gpu_price and not gpu_tflops:
-        raise PuddleError("--gpu-price: expected with --gpu-tflops, which tells the time")
     settings = options.settings()
     stages = forecast_stages(settings, options.find_store())
     n_cores = cores or number_of_cores()
-    gpu_hours = training_gpu_seconds(settings, gpu_tflops) / _HOUR if gpu_tflops else None
     to_stdout(f"study {settings.name}: the rest of the work on {n_cores:,} core{'s' * (n_cores > 1)}")
     to_stdout(f"{'stage':<9}{'work':>19}{'core time':>11}{'time':>9}{'disk':>9}  cost from")
     for one in stages:
@@ -44,9 +35,6 @@ def forecast(
     core_seconds, seconds = sum(one.core_seconds for one in stages), sum(one.seconds(n_cores) for one in stages)
     n_bytes = sum(one.n_bytes for one in stages)
     to_stdout(f"{'all':<28}{_time(core_seconds):>11}{_time(seconds):>9}{_size(n_bytes):>9}")
-    if gpu_hours is not None:
-        price = f", {gpu_hours * gpu_price:,.2f} at {gpu_price:g} an hour" if gpu_price else ""
-        to_stdout(f"all networks on a GPU at {gpu_tflops:g} TFLOP/s: {gpu_hours:.2g} hours{price}")
 
 
 def _time(seconds: float) -> str:

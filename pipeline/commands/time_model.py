@@ -95,13 +95,6 @@ def forecast_stages(settings: Settings, store: Store | None = None) -> list[Stag
     return [_forecast(stage, settings, upstream, costs) for stage in STAGES]
 
 
-def training_gpu_seconds(settings: Settings, tflops: float) -> float:
-    """Return the time in which a GPU trains all networks of a study at a rate [TFLOP/s]: [s]."""
-    specs = [chain.spec for stage in STAGES if stage.name == "train" for chain in stage.plan(settings)]
-    flops = (spec.training.n_iterations * _flops_of_iteration(spec.network, spec.training) for spec in specs)
-    return float(sum(flops)) / (tflops * 1e12)
-
-
 def _kind(stage: AnyStage, chain: Chain[Any]) -> _Kind:
     return _Kind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""))
 
