@@ -9,8 +9,7 @@ import pytest
 from command_line import call
 from small_study import TINY, Terminal
 
-import pipeline.mlflow.mirror
-import pipeline.stages
+from pipeline.commands import study
 from pipeline.commands.terminal import INCOMPLETE
 from pipeline.stages import STAGES
 from pipeline.stages.collect import throws_among
@@ -27,7 +26,7 @@ SETTINGS = (
 
 @pytest.fixture
 def options(tmp_path, monkeypatch) -> tuple[str, ...]:
-    monkeypatch.setattr(pipeline.mlflow.mirror, "Tracker", lambda *_, **__: Terminal())
+    monkeypatch.setattr(study, "Tracker", lambda *_, **__: Terminal())
     (tmp_path / "tiny.yaml").write_text(TINY)
     changes = [word for change in SETTINGS for word in ("--set", change)]
     return "--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"), *changes
@@ -38,7 +37,7 @@ def inject(monkeypatch: pytest.MonkeyPatch, **computes) -> None:
     stages: tuple[AnyStage, ...] = tuple(
         dataclasses.replace(stage, compute=computes.get(stage.name, stage.compute)) for stage in STAGES
     )
-    monkeypatch.setattr(pipeline.stages, "STAGES", stages)
+    monkeypatch.setattr(study, "STAGES", stages)
 
 
 def train_one_on_a_nan(item: Item, inputs: Inputs) -> Files:
@@ -92,6 +91,6 @@ def test_designs_that_diverge_are_named_and_end_a_command_with_its_code(options,
     diverged = {
         "diverged": lambda settings, upstream, store: dict.fromkeys(upstream["evolve"].done, "3 designs diverged")
     }
-    monkeypatch.setattr(pipeline.stages, "STAGES", tuple(dataclasses.replace(stage, **diverged) for stage in STAGES))
+    monkeypatch.setattr(study, "STAGES", tuple(dataclasses.replace(stage, **diverged) for stage in STAGES))
     assert call("evolve", *options, "--set", "grid.environments=[dry_land]", "--workers", "0") == INCOMPLETE
     assert "evolve: dry_land/1m/trial-2: 3 designs diverged" in capsys.readouterr().err
