@@ -19,12 +19,14 @@ from numba.extending import intrinsic
 from benchmarks.engines import N_ROUNDS, N_STEPS, designs
 from benchmarks.measure import Benchmark, seconds
 from tasks.arrays import Float32
-from tasks.residual import OBSERVATION, Architecture, Training
+from tasks.residual import Architecture, Form, Training
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.forms import Targets
+from tasks.residual.forms.plain import PLAIN
+from tasks.residual.forms.wetted import WETTED
 from tasks.residual.network import initial_weights
 from tasks.residual.torch_descent import TorchDescent
-from tasks.residual.wetted import N_WETTED_OUTPUTS, WETTED
 from tasks.simulation import simulate
 from tasks.simulation.networks.tiles import N_LANES
 from tasks.world import ResidualSlush
@@ -78,15 +80,13 @@ def peak_gflops() -> float:
     return 2 * N_CHAINS * N_LANES * n / seconds(lambda: _peak(n)) / 1e9
 
 
-def ensemble(
-    hidden_layers: int, width: int, n_members: int = N_MEMBERS, inputs: tuple[str, ...] = OBSERVATION
-) -> Ensemble:
+def ensemble(hidden_layers: int, width: int, n_members: int = N_MEMBERS, form: Form = PLAIN) -> Ensemble:
     """Create untrained networks of a shape, whose outputs are too small to move a robot."""
     rng = np.random.default_rng(1)
-    sizes = (len(inputs), *[width] * hidden_layers, N_WETTED_OUTPUTS if inputs == WETTED else 3)
+    sizes = (len(form.inputs), *[width] * hidden_layers, len(form.outputs))
     weights = [(rng.normal(size=(n_members, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     weights[-1] *= np.float32(0.01)
-    return Ensemble(tuple(weights), tuple(np.zeros((n_members, b), np.float32) for b in sizes[1:]), inputs)
+    return Ensemble(tuple(weights), tuple(np.zeros((n_members, b), np.float32) for b in sizes[1:]), form)
 
 
 def by_torch(nets: Ensemble, observation: Float32) -> Float32:
@@ -152,7 +152,7 @@ def generation() -> list[Benchmark]:
 
 def wetted() -> list[Benchmark]:
     """Evaluate a generation in networks that know what is under water, and in plain ones of the same size."""
-    plain, wet = (ResidualSlush(2.0, ensemble(2, 48, 4, inputs)) for inputs in (OBSERVATION, WETTED))
+    plain, wet = (ResidualSlush(2.0, ensemble(2, 48, 4, form)) for form in (PLAIN, WETTED))
     for environment in (plain, wet):
         simulate(designs(), environment, n_settle=1, n_measure=1)
     ratios = []
@@ -172,10 +172,11 @@ def training() -> list[Benchmark]:
         rng = np.random.default_rng(3)
         architecture = Architecture(hidden_layers=hidden_layers, width=width)
         settings = Training(loss="mse", batch_size=batch_size)
-        rows = rng.normal(size=(90_000, 12)).astype(np.float32)
+        inputs, values = rng.normal(size=(2, 90_000, 6)).astype(np.float32)
+        targets = Targets(values, values[:, :0], values[:, :0])
         weights = initial_weights(architecture.sizes, rng)
         ours, theirs = (
-            engine(weights, rows, architecture.dropout, settings, np.random.default_rng(4))
+            engine(weights, inputs, targets, architecture.dropout, settings, np.random.default_rng(4))
             for engine in (Descent, TorchDescent)
         )
         n = max(1, 400_000 // (batch_size * width))

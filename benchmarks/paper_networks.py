@@ -37,8 +37,9 @@ from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.evolution import Evaluation, penalised_mean
 from tasks.residual.error_report import error_rows
+from tasks.residual.forms import observe
+from tasks.residual.forms.plain import PLAIN
 from tasks.residual.network import Standardisation
-from tasks.residual.observation import OBSERVATION
 from tasks.residual.throws import Transitions
 from tasks.residual.training import TrainedMember
 
@@ -52,7 +53,7 @@ def networks(data_set: int, transitions: Transitions) -> Iterator[TrainedMember]
     with safe_open(FOLDER / f"data-set-{data_set}.safetensors", "np") as file:
         arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     standard = Standardisation(**{one.name: arrays.pop(one.name) for one in fields(Standardisation)})
-    observed, residual = transitions.observed(OBSERVATION), transitions.residual
+    observed, residual = observe(PLAIN, transitions.links), transitions.residual
     of_throws = Standardisation.of(observed, residual, standardise_targets=True)
     for one in fields(Standardisation):
         np.testing.assert_allclose(getattr(standard, one.name), getattr(of_throws, one.name), rtol=1e-5, atol=1e-7)
@@ -66,7 +67,7 @@ def networks(data_set: int, transitions: Transitions) -> Iterator[TrainedMember]
         predicted = standard.residual(hidden @ weights[f"weight_{last}"] + weights[f"bias_{last}"])
         points = curves.filter(np.equal(curves["member"], member)).select(["iteration", "training_loss", "loss"])
         curve = np.column_stack([points[name].to_numpy() for name in points.column_names])
-        yield TrainedMember(weights, standard, OBSERVATION, curve, error_rows(predicted, residual, speed))
+        yield TrainedMember(weights, standard, PLAIN, curve, error_rows(predicted, residual, speed))
 
 
 def commit_networks(run: StageRun) -> None:

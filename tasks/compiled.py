@@ -1,13 +1,16 @@
 """Kernels: functions that numba compiles on their first call, or finds in a cache."""
 
+import re
 import sys
 from collections.abc import Callable
 from functools import cached_property
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
 import numba.extending
 from numba.core.caching import NullCache
+from numba.core.errors import NumbaError
 
 import tasks
 
@@ -53,6 +56,28 @@ def compiled(function: Callable[..., Any], *, seconds: int) -> Callable[..., Any
     kernel._cache = _Cache(function)
     KERNELS[function] = seconds
     return cast(Callable[..., Any], kernel)
+
+
+def specialised(template: Any, law: Any, *, seconds: int, **constants: Any) -> Callable[..., Any]:
+    """Return a kernel that is a template with globals of its own: a formula as LAW, and constants by name.
+
+    numba's cache would never find a closure again.
+    """
+    own = {**template.__globals__, "LAW": inline(law), **constants}
+    kernel: Any = FunctionType(template.__code__, own)
+    kernel.__module__ = law.__module__
+    kernel.__qualname__ = f"{template.__name__} {law.__qualname__} {law.__code__.co_firstlineno} {constants}"
+    return compiled(kernel, seconds=seconds)
+
+
+def uncompiled(error: NumbaError, law: Any) -> str:
+    """Say in a line that a formula does not compile, and where it is."""
+    named = re.search(r'File "(.*?)", line (\d+)', str(error))
+    place = f"{named[1]}:{named[2]}" if named else law.__module__
+    return (
+        f"{place}: {law.__qualname__} does not compile: "
+        "expected operators, abs, formulas and functions of tasks.simd.lanes"
+    )
 
 
 def entry(kernel: Any, *arguments: Any) -> Any:

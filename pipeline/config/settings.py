@@ -26,9 +26,8 @@ from tasks.evolution import (
     SearchName,
 )
 from tasks.parameters import Parameters
-from tasks.residual import LEARNERS, Architecture, Learner, LearnerSettings, Throws, Training, arm_kind, in_order
+from tasks.residual import FORMS, LEARNERS, Architecture, Learner, LearnerSettings, Throws, Training, arm_kind, in_order
 from tasks.residual.learner import learner_of, stated
-from tasks.residual.wetted import acts_above_water
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
@@ -339,17 +338,20 @@ class Settings(Parameters):
             ("transfer.adapted_environments", self.transfer.adapted_environments or (), known),
             ("evolution.objective", (self.evolution.objective,), tuple(OBJECTIVES)),
             ("evolution.search", (self.evolution.search,), tuple(SEARCHES)),
+            ("network.form", (self.network.form,), tuple(FORMS)),
+            *(
+                (f"learners.{name}.network.form", (one.network.form,), tuple(FORMS))
+                for name, one in self.learners.items()
+            ),
         ):
             for name in names:
                 if name not in allowed:
                     one_medium = "an environment of one medium, " if allowed is media else ""
                     raise ValueError(f"{place}: expected {one_medium}any of {', '.join(allowed)}, got {name!r}")
-        wetted = [name for name, learner in simulated.items() if learner.network.form == "wetted"]
-        if wetted and self.target_medium and acts_above_water(self.target_medium, self.physics):
-            raise ValueError(
-                f"network.form is wetted for {', '.join(wetted)}, but {self.target_label} acts above y = 0, where such "
-                f"networks see nothing: expected plain"
-            )
+        for form in sorted({learner.network.form for learner in simulated.values()}):
+            if self.target_medium and (why := FORMS[form].objection(self.target_medium, self.physics)):
+                own = ", ".join(name for name, learner in simulated.items() if learner.network.form == form)
+                raise ValueError(f"network.form is {form} for {own}, but {self.target_label} {why}")
 
     def _check_objective(self) -> None:
         """Refuse an objective without its data."""
@@ -464,4 +466,5 @@ class RecordedSettings(Settings, extra="allow"):
     def missing(self) -> list[str]:
         """Names of what is used and has no code."""
         used = {self.target, *self.grid.environments} - {*ENVIRONMENTS, *self.learners}
+        used |= {learner.network.form for learner in self.arm_learners.values()} - {*FORMS}
         return sorted(used | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})

@@ -32,11 +32,10 @@ from pipeline.workflow.stage import (
 )
 from tasks.bench.tracks import Tracks, residual_transitions
 from tasks.residual import (
-    OBSERVATION,
     STATE,
     Throws,
     Transitions,
-    current,
+    form_named,
     initial_states,
     robot_ranges,
     simulate_throws,
@@ -54,7 +53,6 @@ _UNITS = {
     "state": _STATE_UNITS,
     "next_in_slush": _STATE_UNITS,
     "next_on_dry_land": _STATE_UNITS,
-    "observation": f"{', '.join(OBSERVATION)} [m, m, 1, m/s, m/s, rad/s]",
     "residual": f"{', '.join(STATE)}, in slush minus on dry land [m, m, rad, m/s, m/s, rad/s]",
     "residual_sd": f"deviations of {_STATE_UNITS}",
 }
@@ -160,13 +158,8 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
             continue
         transitions = read_transitions(chunks)
         name = "" if len(data_sets(settings)) == 1 else f"{data_set.label}: "
-        if settings.ensembles[data_set.learner].network.form == "wetted":
-            flow, sd = current(transitions)
-            if abs(flow) > max(4 * sd, 0.05):
-                lines.append(
-                    f"{name}the fluid flows at {flow:.2f} ± {sd:.2f} m/s, and wetted networks learn a fluid at rest: "
-                    "set network.form to plain"
-                )
+        if warning := form_named(settings.ensembles[data_set.learner].network.form).warning(transitions):
+            lines.append(f"{name}{warning}")
         if TRACK_REPORT in chunks[0]:
             found = decode_json(chunks[0][TRACK_REPORT], TRACK_REPORT)
             n_further = int((transitions.throw < 0).sum())

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from tasks.evolution import Afpo, Trial, evaluate, evolve
-from tasks.residual.ensemble import N_OUT, Ensemble
-from tasks.residual.observation import OBSERVATION
+from tasks.residual.ensemble import Ensemble
+from tasks.residual.forms.plain import PLAIN
 from tasks.seeding import generator
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush
@@ -14,7 +14,8 @@ from tasks.world import Physics, ResidualSlush
 
 def compile_kernels(physics: Physics) -> None:
     """Compile the kernels that are not in the cache: evolve two robots for two generations in a network."""
-    network = Ensemble((np.zeros((1, len(OBSERVATION), N_OUT), np.float32),), (np.zeros((1, N_OUT), np.float32),))
+    weight = np.zeros((1, len(PLAIN.inputs), len(PLAIN.outputs)), np.float32)
+    network = Ensemble((weight,), (weight[:, 0],), PLAIN)
     home = ResidualSlush(1.0, network)
     evolve(
         [Trial(partial(generator, 0, "kernels"))],

@@ -1,6 +1,6 @@
 """Training of a multilayer perceptron on a core, by AdamW on minibatches.
 
-torch takes three times as long for an iteration of 2 × 32 units, and half as long again for 3 × 64.
+torch takes three times as long for 2 × 48 units, also where it trains four networks in one batch.
 """
 
 from collections.abc import Mapping
@@ -10,6 +10,7 @@ from numpy.random import Generator
 
 from tasks.arrays import Float32, Float64, Int64
 from tasks.residual.descent_kernel import BETA_1, BETA_2, LossParameters, allocate, descend
+from tasks.residual.forms import Targets
 from tasks.residual.hyperparameters import Training, learning_rate
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.networks.panels import from_panels, to_panels
@@ -35,26 +36,29 @@ def step_factors(training: Training, first: int, n: int) -> Float32:
 class Descent:
     """A network that is trained on a core: the compiled counterpart of :class:`TorchDescent`, with its interface."""
 
-    def __init__(self, weights: Weights, rows: Float32, dropout: float, training: Training, rng: Generator) -> None:
+    def __init__(
+        self, weights: Weights, inputs: Float32, targets: Targets, dropout: float, training: Training, rng: Generator
+    ) -> None:
         """Begin at a network's weights.
 
         Args:
             weights: weight_i (n_in, n_out) and bias_i (n_out,) of each layer i.
-            rows: (n_rows, n_inputs + 6) standardised observations and residuals; 6 more columns weight the squared
-                errors. Of wetted networks (n_rows, n_inputs + 9), see :func:`tasks.residual.wetted.training_targets`.
+            inputs: (n_rows, n_inputs) standardised inputs.
+            targets: what the outputs learn.
             dropout: probability to drop a hidden unit from a sample.
             training: settings of the training.
             rng: generator of minibatches and dropped units.
         """
         n_layers = len(weights) // 2
         self._shapes = [weights[f"weight_{i}"].shape for i in range(n_layers)]
-        self.n_inputs = self._shapes[0][0]
-        self._rows, self._dropout, self._training, self._rng = rows, dropout, training, rng
+        self._rows = np.concatenate((inputs, *targets), axis=1)
+        self._n_errors, self._dropout, self._training, self._rng = targets.values.shape[1], dropout, training, rng
         self._n_done = 0
-        self._memory = memory = allocate([self.n_inputs, *(n_out for _, n_out in self._shapes)], rows.shape[1])
-        sizes = memory.sizes.tolist()  # padded
+        sizes = [self._shapes[0][0], *(n_out for _, n_out in self._shapes)]
+        self._memory = memory = allocate(sizes, self._rows.shape[1])
+        padded = memory.sizes.tolist()
         starts = memory.first_weight.tolist(), memory.first_bias.tolist()
-        self._layers = list(zip(*starts, sizes[:-1], sizes[1:], strict=True))
+        self._layers = list(zip(*starts, padded[:-1], padded[1:], strict=True))
         for i, (first_weight, first_bias, n_in, n_out) in enumerate(self._layers):
             panels, bias = to_panels(weights[f"weight_{i}"][None], n_in, n_out)[0], weights[f"bias_{i}"]
             memory.parameters[first_weight : first_weight + len(panels)] = panels
@@ -79,7 +83,7 @@ class Descent:
                 width,
                 np.float32(1 / (1 - self._dropout)),
                 LossParameters(
-                    self._shapes[-1][1] // 3 * 3,
+                    self._n_errors,
                     self._training.loss == "focal",
                     self._training.focal_alpha,
                     self._training.focal_s,
@@ -106,7 +110,7 @@ class Descent:
         weights = self.weights()
         layers = range(len(self._shapes))
         matrices, biases = ([weights[f"{kind}_{i}"][None] for i in layers] for kind in ("weight", "bias"))
-        predicted: Float32 = PackedNetworks(matrices, biases, inputs=()).forward(inputs[None])[0]
+        predicted: Float32 = PackedNetworks(matrices, biases).forward(inputs[None])[0]
         return predicted
 
 

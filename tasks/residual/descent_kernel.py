@@ -55,7 +55,7 @@ class NetworkMemory(NamedTuple):
     transposed: Float32  # (n_parameters,) panels of the transposed weights, where those of the weights are
     values: Float32  # inputs and outputs of the layers, (_N_VECTORS, n_units, N_LANES) each
     errors: Float32  # (2, _N_VECTORS * widest layer * N_LANES) derivatives of the loss by outputs of a layer
-    targets: Float32  # (_N_VECTORS, n_targets, N_LANES) residuals, weights of their squared errors, shares of a lift
+    targets: Float32  # (_N_VECTORS, n_targets, N_LANES) the columns of forms.Targets side by side
     zeros: Float32  # (widest layer,) biases of the transposed layers
     ones: Float32  # (N_LANES,) the input whose weights are biases
 
@@ -63,7 +63,7 @@ class NetworkMemory(NamedTuple):
 class LossParameters(NamedTuple):
     """The loss and its parameters; see mean_loss in training.py."""
 
-    n_errors: int  # 6 residuals, or 3 of wetted networks, which have a fourth output
+    n_errors: int  # of the first outputs; further ones enter these by their shares
     focal: bool
     alpha: float
     s: float
@@ -147,7 +147,7 @@ def _drop(memory: NetworkMemory, layer: int, dropped: Int64, first_sample: int, 
 def _compare(memory: NetworkMemory, n: int, n_targets: int, loss: LossParameters, batch_size: int) -> float:
     """Write the derivatives of the mean loss by the network's outputs; return the sum of n samples' losses."""
     n_out, first = memory.sizes[-1], memory.first_value[-1]
-    n_errors, end = loss.n_errors, loss.n_errors * N_LANES
+    n_errors, end, n_further = loss.n_errors, loss.n_errors * N_LANES, max(n_targets // loss.n_errors - 2, 0)
     error = memory.errors[(len(memory.sizes) - 2) % 2]
     total = 0.0
     for vector in range(_N_VECTORS):
@@ -155,9 +155,10 @@ def _compare(memory: NetworkMemory, n: int, n_targets: int, loss: LossParameters
         at = vector * n_out * N_LANES
         for i in range(n_out * N_LANES):
             error[at + i] = memory.values[out + i] - memory.targets[target + i] if i < end else 0.0
-        if n_targets > 2 * n_errors:
+        for further in range(n_further):
+            share, output = target + (2 + further) * end, out + end + further * N_LANES
             for i in range(end):
-                error[at + i] += memory.targets[target + 2 * end + i] * memory.values[out + end + i % N_LANES]
+                error[at + i] += memory.targets[share + i] * memory.values[output + i % N_LANES]
         for lane in range(N_LANES):
             squared = np.float32(0)
             for i in range(lane, end, N_LANES):
@@ -179,9 +180,10 @@ def _compare(memory: NetworkMemory, n: int, n_targets: int, loss: LossParameters
             by_error = np.float32(slope * 2 / (n_errors * batch_size))
             for i in range(lane, end, N_LANES):
                 error[at + i] *= by_error
-        if n_targets > 2 * n_errors:
+        for further in range(n_further):
+            share, by_value = target + (2 + further) * end, at + end + further * N_LANES
             for i in range(end):
-                error[at + end + i % N_LANES] += memory.targets[target + 2 * end + i] * error[at + i]
+                error[by_value + i % N_LANES] += memory.targets[share + i] * error[at + i]
     return total
 
 
@@ -261,7 +263,7 @@ def _descend(
 
     Args:
         memory: the network; it changes.
-        rows: (n_rows, n_inputs + n_targets) inputs, targets, and weights of squared errors if there are any.
+        rows: (n_rows, n_inputs + n_targets) inputs, and the columns of forms.Targets side by side.
         drawn: (n_iterations, batch_size) rows of the minibatches.
         dropped: dropped units of all iterations, each numbered within its iteration by sample, layer and unit.
         first_dropped: (n_iterations + 1,) where an iteration's dropped units begin.

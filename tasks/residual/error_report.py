@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.arrays import Floats
-from tasks.residual.observation import STATE
+from tasks.residual.throws import STATE
 
 BANDS = (
     ("all", 0.0, math.inf),

@@ -5,13 +5,12 @@
 
 import math
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from tasks.parameters import Parameters
-from tasks.residual.observation import OBSERVATION, STATE, Observed
-from tasks.residual.wetted import N_WETTED_OUTPUTS, WETTED
+from tasks.residual.forms import FORMS, form_named
 
 
 class Architecture(Parameters):
@@ -23,35 +22,26 @@ class Architecture(Parameters):
     """Units in each hidden layer. [P]"""
     dropout: float = Field(default=0.001, ge=0.0, le=0.9)
     """Probability to drop a hidden unit from a sample of a minibatch. [P]"""
-    observation: Annotated[tuple[Observed, ...], Field(min_length=1)] = OBSERVATION
-    """Inputs: by default the six of the paper [P]. sin_angle is for media that push a tilted plate sideways."""
-    form: Literal["plain", "wetted"] = "plain"
-    """What networks know of links: nothing [P], or "wetted", which part is under water. The latter need several times
+    form: str = "plain"
+    """What networks know of links, a file in tasks/residual/forms: nothing [P]; "signed_angle", which way they lean,
+    for media that push a tilted plate sideways; or "wetted", which part is under water. The last need several times
     fewer throws, of a fluid that does not flow: they learn from the mirror image of every throw, too."""
 
     @property
-    def inputs(self) -> tuple[str, ...]:
-        """What the networks observe."""
-        return WETTED if self.form == "wetted" else self.observation
+    def about(self) -> str:
+        """What the form is, in a sentence for a page; "" if that is said, or its code is not here."""
+        return FORMS[self.form].about if self.form in FORMS else ""
 
     @property
     def sizes(self) -> list[int]:
-        """Numbers of inputs, of units in each hidden layer, and of outputs."""
-        n_outputs = N_WETTED_OUTPUTS if self.form == "wetted" else len(STATE)
-        return [len(self.inputs), *[self.width] * self.hidden_layers, n_outputs]
+        """Numbers of inputs, of units in each hidden layer, and of outputs in training."""
+        form = form_named(self.form)
+        return [len(form.inputs), *[self.width] * self.hidden_layers, len(form.learned)]
 
     @property
     def n_weights(self) -> int:
         """Weights of the matrices, without biases: the multiplications that one prediction takes."""
         return sum(n_in * n_out for n_in, n_out in pairwise(self.sizes))
-
-    @model_validator(mode="after")
-    def _inputs_agree(self) -> Self:
-        if len(set(self.observation)) != len(self.observation):
-            raise ValueError("observation repeats an input, expected each once")
-        if self.form == "wetted" and self.observation != OBSERVATION:
-            raise ValueError("observation is given, but the form wetted has inputs of its own: expected the form plain")
-        return self
 
 
 class Training(Parameters):

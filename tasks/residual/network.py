@@ -30,7 +30,7 @@ class Standardisation:
 
         Args:
             observation: (n_rows, n_inputs) observations.
-            residual: (n_rows, 6) residuals in the order of STATE, or (n_rows, 4) of wetted links.
+            residual: (n_rows, n_outputs) what the outputs are measured by.
             standardise_targets: whether to standardise residuals; they keep SI units otherwise.
         """
         observation_mean, observation_deviation = _moments(observation)

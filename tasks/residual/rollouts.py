@@ -12,9 +12,9 @@ model learns from what remains of the residuals r outside the span of their deri
 
     S = dr / d start = Q R,    loss = |r - Q Qᵀ r|²
 
-The changes are those of wetted networks (see wetted.py), whose forces act on the part A_s and J of a link that is under
-water. Between frames at which a spin dies out, stronger drag on a faster spin looks nearly the same. What decides is a
-form that fluids have in common: drag grows with the square of the speed relative to the fluid,
+The changes are those of wetted networks (see forms/wetted.py), whose forces act on the part A_s and J of a link that is
+under water. Between frames at which a spin dies out, stronger drag on a faster spin looks nearly the same. What decides
+is a form that fluids have in common: drag grows with the square of the speed relative to the fluid,
 
     f_t = -D_t |u| u_t,    f_n = -D_n |u| u_n,    f_ω = -κ |ω| ω + b_ω,    u = v - flow
 

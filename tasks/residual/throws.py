@@ -18,12 +18,12 @@ from pydantic import Field, model_validator
 
 from tasks.arrays import ArrayData, Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters
-from tasks.residual.observation import OBSERVATION, STATE, observe_states
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import Environment, Medium, Physics, as_environment
-from tasks.world.slush import submerged_part
+from tasks.world import Environment, LinkStates, Medium, Physics, as_environment
+
+STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
 
 class Throws(Parameters):
@@ -100,7 +100,6 @@ class Transitions(ArrayData):
     state: Float32  # (n_transitions, 6) state before both steps, in the order of STATE
     next_in_slush: Float32  # (n_transitions, 6) state after a step of E
     next_on_dry_land: Float32  # (n_transitions, 6) state after a step of E'
-    observation: Float32  # (n_transitions, 6) a network's input, in the order of OBSERVATION
     residual: Float32  # (n_transitions, 6) residual e = E(x) - E'(x), in the order of STATE
 
     def columns(self) -> dict[str, Any]:
@@ -110,11 +109,12 @@ class Transitions(ArrayData):
     def __len__(self) -> int:
         return len(self.throw)
 
-    def observed(self, inputs: Sequence[str]) -> Float32:
-        """Return (n_transitions, n_inputs) observations."""
-        if tuple(inputs) == OBSERVATION:
-            return self.observation
-        return observe_states(self.length_scale, self.state, inputs)
+    @property
+    def links(self) -> LinkStates:
+        """The links before the steps, each (n_transitions,); mass and inertia are not known."""
+        _, y, angle, vx, vy, omega = self.state.T
+        unknown = np.full(len(self), np.nan, np.float32)
+        return LinkStates(self.length_scale, unknown, unknown, y, np.cos(angle), np.sin(angle), vx, vy, omega)
 
     def __getitem__(self, rows: Bools) -> Self:
         """Select transitions by a mask."""
@@ -207,7 +207,7 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physi
 
 
 def _transitions(throw: Int64, step: Int64, a: Float64, x: Float32, E: Float32, E_dry: Float32) -> Transitions:
-    return Transitions(throw, step, a, x, E, E_dry, observe_states(a, x), residual=E - E_dry)
+    return Transitions(throw, step, a, x, E, E_dry, residual=E - E_dry)
 
 
 def throw(
@@ -233,34 +233,3 @@ def throw(
         raise ValueError(f"environment: expected one with one medium, such as true_slush, got {environment!r}")
     starts = initial_states(throws, generator(seed, "collect"), physics)
     return simulate_throws(starts, throws.n_steps_of(physics), there.medium, physics)
-
-
-def current(transitions: Transitions) -> tuple[float, float]:
-    """Estimate the flow of a fluid along x from throws: the velocity c at which it slows nothing down.
-
-    Drag along x is taken as -A_s (k_1 + k_2 |u|) u_x with u = v - c. Wetted networks learn from mirror images of
-    throws, and so a fluid at rest.
-
-    Returns:
-        c and its standard deviation, by the jackknife over ten groups of throws [m/s].
-    """
-    from scipy.optimize import least_squares  # takes long to import
-
-    _, y, angle, vx, vy, _ = transitions.state.T.astype(np.float64)
-    area, _ = submerged_part(transitions.length_scale, y, np.cos(angle), np.sin(angle))
-    change = transitions.residual[:, STATE.index("vx")]
-    group = np.unique(transitions.throw, return_inverse=True)[1] % 10
-
-    def flow_without(left_out: int) -> float:
-        own = group != left_out
-
-        def off(c_and_k: Float64) -> Float64:
-            c, k_1, k_2 = c_and_k
-            u = vx[own] - c
-            missed: Float64 = change[own] + area[own] * (k_1 + k_2 * np.hypot(u, vy[own])) * u
-            return missed
-
-        return float(least_squares(off, (0.0, 0.0, 0.1)).x[0])
-
-    without = np.array([flow_without(k) for k in range(10)])
-    return flow_without(-1), float(np.sqrt(0.9 * np.square(without - without.mean()).sum()))

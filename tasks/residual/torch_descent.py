@@ -13,8 +13,8 @@ from torch.optim.adamw import adamw
 
 from tasks.arrays import Float32, Float64
 from tasks.residual.descent_kernel import BETA_1, BETA_2, EPSILON
+from tasks.residual.forms import Targets
 from tasks.residual.hyperparameters import Training, learning_rate
-from tasks.residual.wetted import lifted
 
 
 class TorchDescent:
@@ -24,16 +24,22 @@ class TorchDescent:
     """
 
     def __init__(
-        self, weights: Mapping[str, Float32], rows: Float32, dropout: float, training: Training, rng: Generator
+        self,
+        weights: Mapping[str, Float32],
+        inputs: Float32,
+        targets: Targets,
+        dropout: float,
+        training: Training,
+        rng: Generator,
     ) -> None:
         """Begin at a network's weights; see :class:`tasks.residual.descent.Descent`."""
         self._training, self._dropout = training, dropout
         self._device = torch.device(training.device)
-        self._rows = torch.from_numpy(rows).to(self._device)
+        self._widths = [columns.shape[1] for columns in (inputs, *targets)]
+        self._rows = torch.from_numpy(np.concatenate((inputs, *targets), axis=1)).to(self._device)
         self._parameters = {
             name: torch.tensor(array, device=self._device, requires_grad=True) for name, array in weights.items()
         }
-        self.n_inputs = len(weights["weight_0"])
         self._random = torch.Generator(self._device)
         self._random.manual_seed(int(rng.integers(2**63)))
         self._update = weight_updates(list(self._parameters.values()), training.weight_decay)
@@ -51,8 +57,9 @@ class TorchDescent:
 
     def step(self, batch: Tensor) -> float:
         """Take one iteration on the given (n_rows, n_columns) rows; return their mean loss."""
-        predicted = self._forward(batch[:, : self.n_inputs], self._dropout)
-        loss: Tensor = mean_loss(self._training, predicted, batch[:, self.n_inputs :])
+        columns: Any = torch.split(batch, self._widths, dim=1)
+        predicted = self._forward(columns[0], self._dropout)
+        loss: Tensor = mean_loss(self._training, predicted, Targets(*columns[1:]))
         for parameter in self._parameters.values():
             parameter.grad = None
         loss.backward()  # type: ignore[no-untyped-call]
@@ -80,22 +87,23 @@ class TorchDescent:
         return rows
 
 
-def mean_loss(training: Training, predicted: Any, targets: Any) -> Any:
+def mean_loss(training: Training, predicted: Any, targets: Targets) -> Any:
     """Return the mean loss over rows, of arrays of NumPy or as a node of torch's graph.
 
-    L_mse = ‖φ(o) - e‖² / 6, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
+    L_mse = ‖φ(o) - e‖² / n_errors, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
 
     Args:
         training: the loss and its parameters.
-        predicted: (n_rows, 6) predicted residuals φ(o), or (n_rows, 4) outputs.
-        targets: (n_rows, 6) true residuals e; 6 more columns weight their squared errors, where they are uncertain. Of
-            wetted networks, see :func:`tasks.residual.wetted.training_targets`.
+        predicted: (n_rows, n_outputs) outputs φ(o).
+        targets: what they learn, of which e are the values.
     """
-    predicted = lifted(predicted, targets)
-    n = predicted.shape[1]
-    squared = (predicted - targets[:, :n]) ** 2
-    weight = targets[:, n : 2 * n]
-    L_mse = (weight * squared if weight.shape[1] else squared).mean(axis=1)
+    values, weights, shares = targets
+    n = values.shape[1]
+    errors = predicted[:, :n]
+    for further in range(predicted.shape[1] - n):
+        errors = errors + predicted[:, n + further, None] * shares[:, n * further : n * (further + 1)]
+    squared = (errors - values) ** 2
+    L_mse = (weights * squared if weights.shape[1] else squared).mean(axis=1)
     if training.loss == "mse":
         return L_mse.mean()
     expm1 = torch.expm1 if isinstance(L_mse, Tensor) else np.expm1

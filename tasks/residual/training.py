@@ -15,12 +15,11 @@ from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.error_report import ErrorRow, error_rows
+from tasks.residual.forms import Form, Targets, form_named, observe, symmetric_copies, velocity_changes
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import Standardisation, initial_weights
-from tasks.residual.observation import NUMBERED, OBSERVATION, VELOCITIES
 from tasks.residual.throws import MeasuredTransitions, Transitions
 from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
-from tasks.residual.wetted import in_link_axes, in_world_axes, symmetric_copies, training_targets
 from tasks.seeding import generator
 
 SMALL = Architecture(hidden_layers=2, width=48)
@@ -47,16 +46,14 @@ class TrainedMember:
 
     weights: dict[str, Float32]  # weight_i (n_in, n_out), bias_i (n_out,) of each layer i, for standardised quantities
     standardisation: Standardisation  # standardisation of the training set
-    inputs: tuple[str, ...]  # what the network observes
+    form: Form
     learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
     validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units
 
-    def arrays(self) -> dict[str, Float32]:
-        """Return all that inference needs by name: weights, standardisation, and inputs if not the paper's."""
-        arrays = {**self.weights, **asdict(self.standardisation)}
-        if self.inputs != OBSERVATION:
-            arrays["inputs"] = np.array([NUMBERED.index(name) for name in self.inputs], np.float32)
-        return arrays
+    def arrays(self) -> dict[str, Any]:
+        """Return all that inference needs by name: weights, standardisation, and the name of the form in UTF-8."""
+        form = np.frombuffer(self.form.name.encode(), np.uint8)
+        return {**self.weights, **asdict(self.standardisation), "form": form}
 
 
 def split_throws(throw: Int64, held_out: float, *, seed: int) -> tuple[Bools, Bools]:
@@ -143,66 +140,60 @@ def train_member(
         built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
         raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
     to_learn, to_validate = map(np.flatnonzero, split_throws(transitions.throw, training.held_out, seed=seed))
-    examples = _examples(transitions, architecture)
+    form = form_named(architecture.form)
+    examples = _examples(transitions, form)
     learned, held_out = (tuple(array[rows] for array in examples) for rows in (to_learn, to_validate))
-    if architecture.form == "wetted":
-        learned = symmetric_copies(*learned)
+    learned = symmetric_copies(form, *learned)
     standardisation = Standardisation.of(*learned[:2], standardise_targets=training.standardise_targets)
 
-    def standardised(observed: Float32, residual: Float32, weights: Float32) -> Float32:
-        standard = standardisation.standard_residual(residual)
-        targets: tuple[Float32, ...] = standard, weights
-        if architecture.form == "wetted":
-            targets = training_targets(observed, standard, weights, standardisation.residual_deviation)
-        return np.concatenate((standardisation.standard_observation(observed), *targets), axis=1)
+    def standardised(inputs: Float32, change: Float32, weights: Float32) -> tuple[Float32, Targets]:
+        standard = standardisation.standard_residual(change)
+        targets = form.targets(inputs, standard, weights, standardisation.residual_deviation)
+        return standardisation.standard_observation(inputs), targets
 
     rng = generator(seed, "member", member)
     by_torch = training.device == "cuda" or numba.config.DISABLE_JIT
     descent = (TorchDescent if by_torch else Descent)(
-        initial_weights(architecture.sizes, rng), standardised(*learned), architecture.dropout, training, rng
+        initial_weights(architecture.sizes, rng), *standardised(*learned), architecture.dropout, training, rng
     )
     validation_set = standardised(*held_out)
-    curve = _learn(descent, validation_set, training, member)
-    predicted = standardisation.residual(descent.predict(validation_set[:, : descent.n_inputs]))
-    if architecture.form == "wetted":
-        predicted = in_world_axes(held_out[0], predicted)
+    curve = _learn(descent, *validation_set, training, member)
+    outputs = standardisation.residual(descent.predict(validation_set[0]))
+    beside, acting = np.split(outputs, [len(form.beside)], axis=1)
+    predicted = np.concatenate((beside, velocity_changes(form, acting, held_out[0])), axis=1)
 
     true = transitions.residual[to_validate, -predicted.shape[1] :]
     vx, vy = transitions.state[to_validate, 3], transitions.state[to_validate, 4]
     return TrainedMember(
         weights=descent.weights(),
         standardisation=standardisation,
-        inputs=architecture.inputs,
+        form=form,
         learning_curve=curve,
         validation=error_rows(predicted, true, np.hypot(vx, vy)),
     )
 
 
-def _examples(transitions: Transitions, architecture: Architecture) -> tuple[Float32, Float32, Float32]:
-    """Return inputs, residuals in the axes of the networks' form, and weights of squared errors, if not all are 1."""
-    observed, residual = transitions.observed(architecture.inputs), transitions.residual
-    weights = np.empty((len(residual), 0), np.float32)
-    if architecture.form == "wetted":
-        residual = in_link_axes(observed, residual[:, VELOCITIES])
-        weights = np.ones((len(residual), 3), np.float32)
-    if isinstance(transitions, MeasuredTransitions):
-        weights = precision_weights(transitions.residual, transitions.residual_sd)
-        if architecture.form == "wetted":
-            weights = weights[:, VELOCITIES]  # a camera sees x and y alike, so those along and across the link, too
-    return observed, residual, weights
+def _examples(transitions: Transitions, form: Form) -> tuple[Float32, Float32, Float32]:
+    """Return inputs, changes in the units of a form's outputs, and weights of squared errors."""
+    residual, inputs = transitions.residual, observe(form, transitions.links)
+    weights = np.ones_like(residual)
+    if isinstance(transitions, MeasuredTransitions):  # a camera sees x and y alike, so any other axes, too
+        weights = precision_weights(residual, transitions.residual_sd)
+    return inputs, form.measured(inputs, residual[:, -form.n_errors :]), weights[:, -form.n_errors :]
 
 
-def _learn(descent: Descent | TorchDescent, validation_set: Float32, training: Training, member: int) -> Float64:
-    """Take all iterations and return the learning curve; the validation set has rows like the training set's."""
+def _learn(
+    descent: Descent | TorchDescent, inputs: Float32, targets: Targets, training: Training, member: int
+) -> Float64:
+    """Take all iterations and return the learning curve; the arguments are those of the validation set."""
     every = max(training.n_iterations // _N_CURVE_POINTS, 1)
-    n_inputs = descent.n_inputs
     curve = []
     for first in range(0, training.n_iterations, every):
         losses = descent.advance(min(every, training.n_iterations - first))
         done = first + len(losses)
         _check_finite(losses, "training", member, first + 1)
-        predicted = descent.predict(validation_set[:, :n_inputs]).astype(np.float64)
-        validation_loss = float(mean_loss(training, predicted, validation_set[:, n_inputs:]))
+        predicted = descent.predict(inputs).astype(np.float64)
+        validation_loss = float(mean_loss(training, predicted, targets))
         _check_finite(np.array([validation_loss]), "validation", member, done)
         curve.append((done, float(losses.mean()), validation_loss))
     return np.array(curve)

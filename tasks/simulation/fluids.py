@@ -6,21 +6,19 @@ So an engine is compiled once, whatever the fluid, and a fluid's kernel within a
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Callable
-from types import FunctionType
 from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 from numba.core.errors import NumbaError
 
 from tasks.arrays import Int64
-from tasks.compiled import compiled, entry, inline
+from tasks.compiled import entry, inline, specialised, uncompiled
 from tasks.simd.lanes import Block, from_row
 from tasks.world.medium import Fluid, LinkStates, Medium, MediumError, change_in
 from tasks.world.physics import Physics
 
-# Of a kernel, which has its own: see _kernel.
+# Of a kernel, which has its own.
 LAW: Callable[..., Any] = Fluid.law
 READ, ADD, STRIDE = (0,) * 9, (0,) * 3, 0
 
@@ -76,11 +74,7 @@ def _push_links(block: Block, factors: Block, n_links: int) -> None:
 
 @functools.cache
 def _kernel(law: Callable[..., Any], rows: Rows) -> Callable[..., Any]:
-    """Return the kernel of a law. It has globals of its own: numba's cache would never find a closure again."""
-    own = {**globals(), "LAW": inline(law), "READ": rows.read, "ADD": rows.add, "STRIDE": rows.stride}
-    kernel = FunctionType(_push_links.__code__, own)
-    kernel.__module__, kernel.__qualname__ = law.__module__, f"{law.__qualname__}.{rows.stride}"  # names in the cache
-    return compiled(kernel, seconds=3)
+    return specialised(_push_links, law, seconds=3, READ=rows.read, ADD=rows.add, STRIDE=rows.stride)
 
 
 def is_compiled(medium: Medium | None) -> TypeGuard[Fluid]:
@@ -109,10 +103,5 @@ def push_of(medium: Medium | None, physics: Physics, rows: Rows, block: Block, m
         return Push(address, of_lanes, len(factors) if differ else 0)
     except NumbaError as error:
         change_in(medium, LinkStates(*np.ones((9, 1), np.float32)), physics)  # says what is wrong, if arrays fail, too
-        named = re.search(r'File "(.*?)", line (\d+)', str(error))
-        place = f"{named[1]}:{named[2]}" if named else medium.law.__module__
-        raise MediumError(
-            f"{place}: {medium.law.__qualname__} does not compile: "
-            "expected operators, abs, formulas and functions of tasks.simd.lanes; what needs NumPy goes into "
-            "velocity_change"
-        ) from error
+        said = f"{uncompiled(error, medium.law)}; what needs NumPy goes into velocity_change"
+        raise MediumError(said) from error

@@ -2,8 +2,8 @@
 
 Resistive force theory (Gray & Hancock 1955, "The Propulsion of Sea-Urchin Spermatozoa") has such drag, here quadratic
 as in the slush. A tilted plate that sinks is pushed sideways, to a side that depends on the sign of its angle, so
-networks must observe sin θ to learn it (``network.observation``). A fluid to test the learner with, which knows nothing
-of it.
+networks must observe sin θ to learn it, as the form ``signed_angle`` does. A fluid to test the learner with, which
+knows nothing of it.
 """
 
 from pydantic import Field

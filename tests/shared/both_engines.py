@@ -15,8 +15,8 @@ import numpy as np
 
 from tasks.design import Designs
 from tasks.residual.ensemble import Ensemble
-from tasks.residual.observation import OBSERVATION
-from tasks.residual.wetted import WETTED
+from tasks.residual.forms import Form
+from tasks.residual.forms.plain import PLAIN
 from tasks.simulation import batch, reference
 from tasks.simulation.box2d import Motion
 from tasks.world import Environment, LinkStates, Physics, Slush, VelocityChange
@@ -53,13 +53,13 @@ class Slushes:
         return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
 
 
-def networks(rng: np.random.Generator, inputs: tuple[str, ...] = OBSERVATION) -> Ensemble:
+def networks(rng: np.random.Generator, form: Form = PLAIN) -> Ensemble:
     """Create three untrained networks with changes as large as the slush's."""
-    sizes = (len(inputs), 40, 40, 4 if inputs == WETTED else 3)
+    sizes = (len(form.inputs), 40, 40, len(form.outputs))
     weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     weights[-1] *= np.float32(0.05)
     biases = [(0.01 * rng.normal(size=(3, b))).astype(np.float32) for b in sizes[1:]]
-    return Ensemble(weights=tuple(weights), biases=tuple(biases), inputs=inputs)
+    return Ensemble(weights=tuple(weights), biases=tuple(biases), form=form)
 
 
 def wild(designs: Designs, rng: np.random.Generator, *, motor_on: float) -> Designs:

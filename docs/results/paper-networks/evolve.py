@@ -23,13 +23,13 @@ import numba
 import numpy as np
 import torch
 from safetensors.numpy import load_file
+from tasks.residual.observation import INPUTS, OBSERVATION
 
 from tasks.design import Designs
 from tasks.design.genes import N_COLUMNS, N_LINKS
 from tasks.evolution import EMPTY_POPULATION, Afpo, Evaluation, penalised_mean
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.network import Standardisation
-from tasks.residual.observation import INPUTS, OBSERVATION
 from tasks.seeding import generator
 from tasks.simulation import simulate
 from tasks.simulation.trees import layout

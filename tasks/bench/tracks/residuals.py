@@ -13,7 +13,7 @@ from tasks.bench.tracks.free_fall import Fall, check_falls
 from tasks.bench.tracks.smoother import Measured, Smoothed, smooth
 from tasks.bench.tracks.table import Paths, TrackError, TrackTable, paths_of
 from tasks.bench.tracks.tank_contacts import contacts, n_contacts
-from tasks.residual import MeasuredTransitions, observe_states, robot_ranges, simulate_throws
+from tasks.residual import MeasuredTransitions, robot_ranges, simulate_throws
 from tasks.residual.throws import Starts, even_starts
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
@@ -239,7 +239,6 @@ def _transitions(
         state=state,
         next_in_slush=reached,
         next_on_dry_land=dry,
-        observation=observe_states(long_axes[throw], state),
         residual=reached - dry,
         residual_sd=np.concatenate([dt * sd, sd], axis=1),
     )

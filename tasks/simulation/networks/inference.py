@@ -9,7 +9,7 @@ of the next, and stay in the cache.
 
 # mypy: warn-return-any=False
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -69,21 +69,25 @@ class PackedNetworks:
     """Networks of one shape, with their weights in the kernel's memory layout."""
 
     def __init__(
-        self, weights: Sequence[Float32], biases: Sequence[Float32], inputs: tuple[str, ...], wetted: bool = False
+        self,
+        weights: Sequence[Float32],
+        biases: Sequence[Float32],
+        read: Callable[..., Any] | None = None,
+        act: Callable[..., Any] | None = None,
     ) -> None:
         """Pack the weights of networks with ReLU after every layer but the last.
 
         Args:
             weights: (n_members, n_in, n_out) of each layer.
             biases: (n_members, n_out) of each layer.
-            inputs: fields of :class:`tasks.world.LinkStates` that the networks read, in order.
-            wetted: whether the networks are of the wetted form; their inputs are then computed from those read.
+            read: formula of the inputs, by the links' :class:`tasks.world.LinkStates`; None if no robots are coupled.
+            act: formula of the changes of vx, vy and ω, by the outputs and the inputs.
         """
-        self._source = tuple(weights), tuple(biases), inputs, wetted
-        self.inputs, self.wetted = inputs, wetted
-        self.n_members, self._n_in, _ = weights[0].shape
-        self._n_out = weights[-1].shape[2]
-        sizes = [self._n_in, *(padded(weight.shape[2]) for weight in weights)]
+        self._source = tuple(weights), tuple(biases), read, act
+        self.read, self.act = read, act
+        self.n_members, self.n_in, _ = weights[0].shape
+        self.n_out = weights[-1].shape[2]
+        sizes = [self.n_in, *(padded(weight.shape[2]) for weight in weights)]
         self.sizes = np.array(sizes, np.int64)
         self._panels = [
             to_panels(weight, n_in, n_out) for weight, n_in, n_out in zip(weights, sizes, sizes[1:], strict=False)
@@ -111,14 +115,14 @@ class PackedNetworks:
         """Evaluate the networks: (n_members, n_rows, n_in) to (n_members, n_rows, n_out)."""
         n_rows = rows.shape[1]
         x, out = self.allocate(n_rows)
-        filled = np.zeros((self.n_members, x.shape[1] * N_LANES, self._n_in), np.float32)
+        filled = np.zeros((self.n_members, x.shape[1] * N_LANES, self.n_in), np.float32)
         filled[:, :n_rows] = rows
-        x[:] = filled.reshape(self.n_members, -1, N_LANES, self._n_in).swapaxes(2, 3)
+        x[:] = filled.reshape(self.n_members, -1, N_LANES, self.n_in).swapaxes(2, 3)
         run_networks(self.layers, self.sizes, x.shape[1], x.ctypes.data, out.ctypes.data, self.between.ctypes.data)
-        return out.swapaxes(2, 3).reshape(self.n_members, -1, out.shape[2])[:, :n_rows, : self._n_out]
+        return out.swapaxes(2, 3).reshape(self.n_members, -1, out.shape[2])[:, :n_rows, : self.n_out]
 
     def allocate(self, n_rows: int) -> tuple[Float32, Float32]:
         """Allocate inputs (n_members, n_vectors, n_in, N_LANES) and padded outputs for n_rows samples per member."""
         n_vectors = -(-n_rows // TILE_ROWS) * TILE_VECTORS
         shape = self.n_members, n_vectors
-        return aligned((*shape, self._n_in, N_LANES)), aligned((*shape, int(self.sizes[-1]), N_LANES))
+        return aligned((*shape, self.n_in, N_LANES)), aligned((*shape, int(self.sizes[-1]), N_LANES))

@@ -25,9 +25,10 @@ _advance = compiled(step.advance_robots, seconds=12)
 # The first link's record as rows of float32, for the networks.
 _LINKS, _FIRST_LINK = (ROBOT.fields["links"][0].base, ROBOT.fields["links"][1]) if ROBOT.fields else (ROBOT, 0)
 _ROWS = {name: (_FIRST_LINK + offset) // 4 for name, (_, offset, *_) in (_LINKS.fields or {}).items()}
-_CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA = (_ROWS[f"change_{name}"] for name in ("vx", "vy", "omega"))
 _OF_LINKS = Rows(
-    tuple(_ROWS[name] for name in QUANTITIES), (_CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA), _LINKS.itemsize // 4
+    tuple(_ROWS[name] for name in QUANTITIES),
+    tuple(_ROWS[f"change_{name}"] for name in ("vx", "vy", "omega")),
+    _LINKS.itemsize // 4,
 )
 
 
@@ -43,7 +44,7 @@ def _advance_robots_with_networks(
 ) -> None:
     """Take steps with robots, each in its member's medium; ``trace`` is empty."""
     for number in range(first_step, end_step):
-        coupled.push(coupling, _CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA)
+        coupled.push(coupling)
         _advance(robots, numbers, scene, no_fluid, number, number + 1, trace)
 
 
@@ -99,7 +100,7 @@ class Robots:
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps without a trace in a medium that is a network for each member, all in one kernel."""
         rows = self._numbers.rows.reshape(self.n_robots, -1, 1)
-        coupling = coupled.couple(networks, rows, self.n_robots, _ROWS, _LINKS.itemsize // 4)
+        coupling = coupled.couple(networks, rows, self.n_robots, _OF_LINKS)
         no_trace = np.empty((0, 0, N_LINKS, 6), np.float32)
         with np.errstate(all="ignore"):
             _advance_with_networks(

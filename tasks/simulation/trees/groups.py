@@ -39,7 +39,7 @@ def _advance_with_networks(
     ``one`` is 1 and ``traced`` False. As constants they would make numba compile the engine a second time.
     """
     for taken in range(n_steps):
-        coupled.push(coupling, layout.VX, layout.VY, layout.OMEGA)
+        coupled.push(coupling)
         advance_kernel(block, n_groups, scene, no_fluid, first_step + taken, one, trace, traced)
 
 
@@ -112,7 +112,7 @@ class Groups:
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps in a medium of one network per member, in a single kernel."""
-        coupling = coupled.couple(networks, self.blocks, self.n_robots)
+        coupling = coupled.couple(networks, self.blocks, self.n_robots, _ROWS)
         with np.errstate(all="ignore"):
             _advance_coupled(
                 self._block, self.n_groups, scene, self._fluid, first_step, n_steps, coupling, self._no_trace, False, 1

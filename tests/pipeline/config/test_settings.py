@@ -63,7 +63,10 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["learners=[a]"], 'learners: expected an object, got ["a"]'),
         (["learners.a.throws=null"], "learners.a.throws: expected an object, got null"),
         (["learners.a.throws.n_throws=0"], "learners.a.throws.n_throws: expected greater than or equal to 2"),
-        (["learners.a.network.form=wet"], "learners.a.network.form: expected 'plain' or 'wetted', got \"wet\""),
+        (
+            ["learners.a.network.form=wet"],
+            "learners.a.network.form: expected any of plain, signed_angle, wetted, got 'wet'",
+        ),
         (["learners.a.network.frm=plain"], "unknown setting; did you mean learners.a.network.form?"),
         (["slush.decay=3"], "--set slush.decay=3: slush.decay: unknown setting; did you mean training.decay?"),
         (["n_steps=3"], "n_steps: unknown setting; did you mean throws.n_steps?"),
@@ -74,8 +77,8 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
             "learners.a.single is 'residual_slush' beside n_members: expected",
         ),
         (
-            ["learners.a.network.form=wetted", "network.observation=[vx]"],
-            "learners.a, with the study's groups: observation",
+            ["learners.a.training.learning_rate=0.001", "training={learning_rate: 0.1, min_learning_rate: 0.01}"],
+            "learners.a, with the study's groups: min_learning_rate",
         ),
         (["learners.a.throws.source=tracks"], "learners.a.throws.source is tracks, but throws.source is not"),
         (["target=honey"], "target: expected an environment of one medium, any of true_slush, anisotropic_slush"),

@@ -11,6 +11,7 @@ import pytest
 from tasks.residual import Architecture, Training
 from tasks.residual.descent import Descent
 from tasks.residual.descent_kernel import CHUNK
+from tasks.residual.forms import Targets
 from tasks.residual.hyperparameters import learning_rate
 from tasks.residual.network import initial_weights
 from tasks.simulation.networks.tiles import N_LANES
@@ -25,7 +26,13 @@ def descent(training=MSE, n_inputs=6, weighted=False, dropout=0.0, seed=1, **siz
     _, *hidden, n_out = Architecture(**{"hidden_layers": 2, "width": 32, **size}).sizes
     weights = initial_weights([n_inputs, *hidden, n_out], np.random.default_rng(seed))
     rows = rows_of(500, n_inputs, weighted)
-    return Descent(weights, rows, dropout, training, np.random.default_rng(seed + 1)), weights, rows
+    return Descent(weights, *rows, dropout, training, np.random.default_rng(seed + 1)), weights, rows
+
+
+def drawn_from(rows, numbers):
+    """The inputs and targets of a minibatch."""
+    inputs, targets = rows
+    return inputs[numbers], Targets(*(columns[numbers] for columns in targets))
 
 
 def gradient(network):
@@ -52,8 +59,8 @@ def gradient(network):
 )
 def test_an_iteration_has_the_loss_and_the_gradient_of_torch(case, training):
     network, weights, rows = descent(training, **case)
-    batch = rows[np.random.default_rng(2).integers(len(rows), size=training.batch_size)]
-    loss, expected = gradient_by_torch(weights, batch, training)
+    batch = drawn_from(rows, np.random.default_rng(2).integers(500, size=training.batch_size))
+    loss, expected = gradient_by_torch(weights, *batch, training)
     assert network.advance(1)[0] == pytest.approx(loss, rel=1e-5)
     got = gradient(network)
     largest = max(abs(array).max() for array in expected.values())
@@ -66,14 +73,14 @@ def test_dropped_units_neither_act_nor_learn(dropout):
     training = MSE.model_copy(update={"batch_size": 2 * CHUNK + 40})
     network, weights, rows = descent(training, dropout=dropout, hidden_layers=3, width=20)
     rng = np.random.default_rng(2)
-    batch = rows[rng.integers(len(rows), size=training.batch_size)]
+    batch = drawn_from(rows, rng.integers(500, size=training.batch_size))
     n_units = training.batch_size * 3 * 20
     # the gaps between dropped units are geometric: a unit is dropped with the same probability wherever it is
     dropped = rng.geometric(dropout, int(n_units * dropout + 10 * (n_units * dropout) ** 0.5 + 20)).cumsum() - 1
     kept = np.ones(n_units)
     kept[dropped[dropped < n_units]] = 0
     kept = kept.reshape(-1, 3, 20) / (1 - dropout)
-    loss, expected = gradient_by_torch(weights, batch, training, kept)
+    loss, expected = gradient_by_torch(weights, *batch, training, kept)
     assert network.advance(1)[0] == pytest.approx(loss, rel=1e-5)
     got = gradient(network)
     for name, array in expected.items():

@@ -3,6 +3,7 @@ import pytest
 
 from tasks.residual import Architecture, Training
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.forms import Targets
 from tasks.residual.network import Standardisation, initial_weights
 from tasks.residual.torch_descent import TorchDescent
 from tasks.world import LinkStates, Physics
@@ -20,8 +21,10 @@ def members(architecture, n_members=N_MEMBERS, seed=0):
         rows = (rng.normal(size=(2, 100, 6)) * rng.uniform(0.1, 5, 6) + rng.normal(size=6)).astype(np.float32)
         standardisation = Standardisation.of(*rows, standardise_targets=True)
         weights = initial_weights(architecture.sizes, rng)
-        networks.append((TorchDescent(weights, rows[0], 0.0, Training(), rng), standardisation))
-        arrays.append({**weights, **vars(standardisation)})
+        targets = Targets(rows[1], rows[1][:, :0], rows[1][:, :0])
+        networks.append((TorchDescent(weights, rows[0], targets, 0.0, Training(), rng), standardisation))
+        form = np.frombuffer(b"plain", np.uint8)
+        arrays.append({**weights, **vars(standardisation), "form": form})
     return networks, arrays
 
 
@@ -45,7 +48,7 @@ def ensemble():
 
 
 def test_an_ensemble_is_shown_without_its_weights(ensemble):
-    shown = "Ensemble(3 networks of 6 → 32 → 32 → 3 units, inputs a, y, cos_angle, vx, vy, omega)"
+    shown = "Ensemble(3 plain networks of 6 → 32 → 32 → 3 units)"
     assert repr(ensemble) == shown
 
 

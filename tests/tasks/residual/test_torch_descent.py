@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tasks.residual import Architecture, Training
+from tasks.residual.forms import Targets
 from tasks.residual.network import initial_weights
 from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
 
@@ -12,26 +13,24 @@ ARCHITECTURE = Architecture(hidden_layers=2, width=16)
 
 
 def rows_of(n_rows, n_inputs=6, weighted=False, seed=3):
-    """Random inputs, targets that are a function of them, and weights."""
+    """Random inputs, and targets that are a function of them, with weights."""
     rng = np.random.default_rng(seed)
     inputs = rng.normal(size=(n_rows, n_inputs))
     targets = np.sin(inputs @ rng.normal(0, n_inputs**-0.5, (n_inputs, 6))) + 0.1 * rng.normal(size=(n_rows, 6))
-    weights = [rng.uniform(size=(n_rows, 6))] if weighted else []
-    return np.concatenate([inputs, targets, *weights], axis=1).astype(np.float32)
+    weights = rng.uniform(size=(n_rows, 6 if weighted else 0))
+    return inputs.astype(np.float32), Targets(*(x.astype(np.float32) for x in (targets, weights, targets[:, :0])))
 
 
-def gradient_by_torch(weights, batch, training, kept=None):
+def gradient_by_torch(weights, inputs, targets, training, kept=None):
     """The mean loss of a minibatch and its gradient in float64; units have factors (n_rows, hidden_layers, width)."""
     arrays = {name: torch.tensor(array, dtype=torch.float64, requires_grad=True) for name, array in weights.items()}
     n_layers = len(weights) // 2
-    n_inputs = len(weights["weight_0"])
-    batch = torch.from_numpy(batch).double()
-    h = batch[:, :n_inputs]
+    h = torch.from_numpy(inputs).double()
     for i in range(n_layers):
         h = h @ arrays[f"weight_{i}"] + arrays[f"bias_{i}"]
         if i < n_layers - 1:
             h = h.relu() * (1.0 if kept is None else torch.from_numpy(kept[:, i]))
-    loss = mean_loss(training, h, batch[:, n_inputs:])
+    loss = mean_loss(training, h, Targets(*(torch.from_numpy(columns).double() for columns in targets)))
     loss.backward()
     return loss.item(), {name: array.grad.numpy() for name, array in arrays.items()}
 
@@ -39,7 +38,7 @@ def gradient_by_torch(weights, batch, training, kept=None):
 def new(training, dropout=0.0, seed=1, weighted=False):
     weights = initial_weights(ARCHITECTURE.sizes, np.random.default_rng(seed))
     return TorchDescent(
-        weights, rows_of(300, weighted=weighted), dropout, training, np.random.default_rng(seed)
+        weights, *rows_of(300, weighted=weighted), dropout, training, np.random.default_rng(seed)
     ), weights
 
 
@@ -49,14 +48,14 @@ def test_focal_loss_by_hand():
     # ‖·‖² / 6: 0, 0.09 / 6 = 0.015, 9 / 6 = 1.5
     focal = [0.0, 2 * (1 - np.exp(-10 * 0.015)) ** 3 * 0.015, 2 * (1 - np.exp(-10 * 1.5)) ** 3 * 1.5]
     focal_training, mse = Training(focal_alpha=2.0, focal_s=10.0, focal_gamma=3.0), Training(loss="mse")
-    halved = torch.cat([true, torch.full((3, 6), 0.5)], dim=1)
+    none, halves = true[:, :0], torch.full((3, 6), 0.5)
     for training, targets, expected in (
-        (focal_training, true, sum(focal) / 3),
-        (mse, true, (0.015 + 1.5) / 3),
-        (mse, halved, (0.015 + 1.5) / 6),
+        (focal_training, Targets(true, none, none), sum(focal) / 3),
+        (mse, Targets(true, none, none), (0.015 + 1.5) / 3),
+        (mse, Targets(true, halves, none), (0.015 + 1.5) / 6),
     ):
         assert float(mean_loss(training, predicted, targets)) == pytest.approx(expected, rel=1e-6)
-        ours = mean_loss(training, predicted.numpy(), targets.numpy())
+        ours = mean_loss(training, predicted.numpy(), Targets(*(columns.numpy() for columns in targets)))
         assert ours == pytest.approx(expected, rel=1e-6)
 
 

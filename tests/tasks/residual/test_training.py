@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -11,6 +13,8 @@ from tasks.residual import (
     initial_states,
     simulate_throws,
 )
+from tasks.residual.forms import observe
+from tasks.residual.forms.plain import PLAIN
 from tasks.residual.training import TrainingDiverged, precision_weights, split_throws, train_member
 from tasks.world import Physics, Slush
 
@@ -22,19 +26,17 @@ def synthetic(n_throws, n_steps, residual_of, seed=0):
     """Transitions with random observations and a residual that is a function of them; the rest is not looked at."""
     rng = np.random.default_rng(seed)
     n = n_throws * n_steps
-    observation = rng.normal(size=(n, 6)).astype(np.float32)
-    residual = residual_of(observation, rng).astype(np.float32)
     none = np.zeros((n, 6), np.float32)
-    return Transitions(
+    drawn = Transitions(
         throw=np.repeat(np.arange(n_throws), n_steps),
         step=np.tile(np.arange(n_steps), n_throws),
-        length_scale=np.ones(n),
-        state=none,
+        length_scale=rng.uniform(1, 3, n),
+        state=rng.normal(size=(n, 6)).astype(np.float32),
         next_in_slush=none,
         next_on_dry_land=none,
-        observation=observation,
-        residual=residual,
+        residual=none,
     )
+    return replace(drawn, residual=residual_of(observe(PLAIN, drawn.links), rng).astype(np.float32))
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from both_engines import Slushes, assert_equal_in_plain_python, networks
 
 from tasks.design import Designs, random_designs
-from tasks.residual.wetted import WETTED
+from tasks.residual.forms.wetted import WETTED
 from tasks.simd.lanes import widest
 from tasks.simulation import DIVERGED, OK, batch, simulate
 from tasks.simulation.trees import step

@@ -8,7 +8,6 @@ from tank import SCALE, filmed
 
 from tasks.bench.tracks import Bars, TrackError, Tracks, TrackTable, residual_transitions
 from tasks.bench.tracks.residuals import check_throws
-from tasks.residual import observe_states
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Physics, Slush
 
@@ -64,7 +63,6 @@ def test_rows_are_those_of_the_base_simulator() -> None:
     dry = FreeLinks(found.length_scale, PHYSICS).step(found.state, None)
     np.testing.assert_array_equal(found.next_on_dry_land, dry)
     np.testing.assert_array_equal(found.residual, found.next_in_slush - found.next_on_dry_land)
-    np.testing.assert_array_equal(found.observation, observe_states(found.length_scale, found.state))
     step = np.float32(PHYSICS.time_step)
     moved = found.next_in_slush[:, :3] - found.state[:, :3]
     np.testing.assert_allclose(moved, step * found.next_in_slush[:, 3:], atol=1e-5)

@@ -22,11 +22,8 @@ def networks(hidden_layers, width, n_members=3, n_out=3, seed=0):
     return weights, biases
 
 
-INPUTS = ("length_scale", "y", "cos", "vx", "vy", "omega")
-
-
 def packed(hidden_layers, width):
-    return PackedNetworks(*networks(hidden_layers, width), INPUTS)
+    return PackedNetworks(*networks(hidden_layers, width))
 
 
 def rows(n_rows, n_members=3, seed=1):
@@ -46,7 +43,7 @@ def test_equals_torch(hidden_layers, width):
     weights, biases = networks(hidden_layers, width)
     x = rows(217)
     expected = by_torch(weights, biases, x)
-    got = PackedNetworks(weights, biases, INPUTS).forward(x)
+    got = PackedNetworks(weights, biases).forward(x)
     assert got.shape == (3, 217, 3) and got.dtype == np.float32
     assert abs(got - expected).max() < 1e-5 * abs(expected).max()
 
@@ -63,7 +60,7 @@ def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input(width):
     # So the bits are those of any machine with fused multiply-adds, whatever its vectors.
     weights, biases = networks(2, width, n_members=1)
     x = rows(3, n_members=1)
-    got = PackedNetworks(weights, biases, INPUTS).forward(x)[0]
+    got = PackedNetworks(weights, biases).forward(x)[0]
     for row in range(3):
         h = list(x[0, row])
         for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):

@@ -4,20 +4,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from tasks.residual import Architecture, MeasuredTransitions, Throws, Training, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.forms import observe, symmetric_copies, velocity_changes
+from tasks.residual.forms.wetted import WETTED, current
 from tasks.residual.torch_descent import mean_loss
 from tasks.residual.training import split_throws, train_member
-from tasks.residual.wetted import (
-    acts_above_water,
-    in_link_axes,
-    in_world_axes,
-    symmetric_copies,
-    training_targets,
-    wetted_inputs,
-)
 from tasks.world import LinkStates, Physics, Slush, VelocityChange
 from tasks.world.anisotropic_slush import AnisotropicSlush
 from tasks.world.flowing_slush import FlowingSlush
@@ -65,18 +58,18 @@ def predicted(member, states):
     ],
 )
 def test_outputs_act_along_the_link_s_axes_and_upwards_on_what_is_under_water(y, cos, sin, expected):
-    inputs = wetted_inputs(vars(links(1, y=y, cos=cos, sin=sin)))
-    assert in_world_axes(inputs, np.float32([[1, 2, 3, 4]]))[0] == pytest.approx(expected, rel=1e-6)
+    inputs = observe(WETTED, links(1, y=y, cos=cos, sin=sin))
+    assert velocity_changes(WETTED, np.float32([[1, 2, 3, 4]]), inputs)[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_training_minimises_the_squared_error_of_that_law():
     rng = np.random.default_rng(3)
-    inputs = wetted_inputs(vars(links()))
+    inputs = observe(WETTED, links())
     true, outputs = rng.normal(size=(500, 3)), rng.normal(size=(500, 4))
     deviation = np.float32([2, 3, 4, 5])  # of the link's axes, in which squared errors are measured
-    change = in_link_axes(inputs, true) / deviation
-    targets = np.concatenate(training_targets(inputs, change, np.full((500, 3), 0.5), deviation), axis=1)
-    error = in_link_axes(inputs, in_world_axes(inputs, outputs * deviation) - true) / deviation
+    change = WETTED.measured(inputs, true) / deviation
+    targets = WETTED.targets(inputs, change, np.full((500, 3), 0.5), deviation)
+    error = WETTED.measured(inputs, velocity_changes(WETTED, outputs * deviation, inputs) - true) / deviation
     expected = 0.5 * np.square(error)[inputs[:, 0] > 0, :3].sum() / (3 * 500)
     assert mean_loss(TRAINING, outputs, targets) == pytest.approx(expected, rel=1e-5)
     assert 50 < (inputs[:, 0] == 0).sum() < 450
@@ -86,12 +79,12 @@ def test_copies_are_what_links_turned_by_half_a_turn_and_mirrored_links_observe(
     given = links()
     turned = replace(given, cos=-given.cos, sin=-given.sin)
     motions = given, turned, *(replace(x, sin=-x.sin, vx=-x.vx, omega=-x.omega) for x in (given, turned))
-    inputs = [wetted_inputs(vars(motion)) for motion in motions]
+    inputs = [observe(WETTED, motion) for motion in motions]
     change = np.random.default_rng(4).normal(size=(500, 3)).astype(np.float32)
     changes = change, change, *[change * np.float32([-1, 1, -1])] * 2
-    expected = [in_link_axes(*motion) for motion in zip(inputs, changes, strict=True)]
+    expected = [WETTED.measured(*motion) for motion in zip(inputs, changes, strict=True)]
     distinct = np.arange(1500, dtype=np.float32).reshape(500, 3)
-    copies, copied, weights = symmetric_copies(inputs[0], expected[0], distinct)
+    copies, copied, weights = symmetric_copies(WETTED, inputs[0], expected[0], distinct)
     np.testing.assert_array_equal(copies, np.concatenate(inputs))
     np.testing.assert_array_equal(copied, np.concatenate(expected))
     np.testing.assert_array_equal(weights, np.tile(distinct, (4, 1)))
@@ -135,11 +128,6 @@ def test_uncertain_residuals_weigh_less_in_this_form_as_well():
     assert member.learning_curve[-1, 2] < 0.1
 
 
-def test_the_form_brings_its_own_inputs():
-    with pytest.raises(ValidationError, match="observation is given, but the form wetted has inputs of its own"):
-        Architecture(form="wetted", observation=("y", "vx"))
-
-
 class Wind:
     """It blows on what is in the air."""
 
@@ -152,4 +140,15 @@ class Wind:
     ("medium", "acts"), [(Slush(), False), (FlowingSlush(), False), (AnisotropicSlush(), False), (Wind(), True)]
 )
 def test_media_that_act_above_the_water(medium, acts):
-    assert acts_above_water(medium, Physics()) == acts
+    assert bool(WETTED.objection(medium, Physics())) == acts
+
+
+@pytest.mark.parametrize("design", ["paper", "robots"])
+@pytest.mark.parametrize("flow", [0.0, 0.1, -3.0])
+def test_the_flow_of_a_fluid_is_seen_in_throws(flow, design):
+    throws = Throws(n_throws=50, design=design)
+    starts = initial_states(throws, np.random.default_rng(3))
+    thrown = simulate_throws(starts, 200, FlowingSlush(current=flow), Physics())
+    found, sd = current(thrown)
+    assert sd < 0.02 and abs(found - flow) < 4 * sd
+    assert WETTED.warning(thrown).startswith(f"the fluid flows at {found:.2f}") == (flow != 0)

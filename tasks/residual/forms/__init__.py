@@ -1,0 +1,15 @@
+"""Forms of networks. Each is one file in this folder, which registers it."""
+
+from tasks.discovery import import_extensions
+from tasks.residual.forms.form import (
+    FORMS,
+    Form,
+    Targets,
+    form_named,
+    observe,
+    register_form,
+    symmetric_copies,
+    velocity_changes,
+)
+
+import_extensions(__name__, __path__)

@@ -1,0 +1,156 @@
+"""What a form of network is: what networks read of a link, how their outputs act on it, and how they learn to.
+
+Everything else knows shapes alone. ``read`` and ``act`` are formulas of arrays and of lanes, as the law of a
+:class:`tasks.world.medium.Fluid` is: a batch engine compiles them into its steps. So networks of any form are fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from tasks.arrays import Float32, Floats
+from tasks.discovery import FAILURES
+from tasks.world.medium import LinkStates, Medium
+from tasks.world.physics import Physics
+
+if TYPE_CHECKING:
+    from tasks.residual.throws import Transitions
+
+N_VELOCITIES = 3  # vx, vy and ω: what outputs change; positions follow by integration
+
+
+class Targets(NamedTuple):
+    """What outputs learn; axis 0 is the row.
+
+    The error of output i is its value, plus those of all further outputs times their shares, less the target.
+    """
+
+    values: Float32  # (n_rows, n_errors) targets of the first outputs
+    weights: Float32  # (n_rows, n_errors) of the squared errors; (n_rows, 0) if all are 1 and there are no shares
+    shares: Float32  # (n_rows, n_errors · n_further) of each further output in the errors, output by output
+
+
+def _as_measured(inputs: Float32, change: Float32) -> Float32:  # noqa: ARG001
+    return change
+
+
+def _as_they_are(inputs: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:  # noqa: ARG001
+    return Targets(change, weights if (weights != 1).any() else weights[:, :0], change[:, :0])
+
+
+def _learns_any_medium(medium: Medium, physics: Physics) -> str:  # noqa: ARG001
+    return ""
+
+
+def _learns_from_any_throws(transitions: Transitions) -> str:  # noqa: ARG001
+    return ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """A form of network. To vary one, :func:`dataclasses.replace` what differs."""
+
+    name: str  # as the setting network.form has it
+    about: str = ""  # what it is, in a sentence, for a page
+
+    inputs: tuple[str, ...]  # names of what ``read`` returns
+    read: Callable[[Any], tuple[Any, ...]]
+    """Formula: the inputs, by the links' LinkStates. Mass and inertia, which follow from the length, are not known in
+    training."""
+
+    outputs: tuple[str, ...]  # what the outputs are measured by; those after the first three have no error of their own
+    act: Callable[[Any, Any], tuple[Any, Any, Any]]
+    """Formula: the changes of vx, vy [m/s] and ω [rad/s] in a step, by the outputs and the inputs."""
+    beside: tuple[str, ...] = ()
+    """Components of a step's residual that networks learn as well, before the outputs, and that act on nothing."""
+
+    measured: Callable[[Float32, Float32], Float32] = _as_measured
+    """(n_rows, n_beside + n_outputs) changes, each in the unit of its output, by the inputs and (n_rows, n_beside + 3)
+    true residuals. Training standardises them."""
+    targets: Callable[[Float32, Float32, Float32, Float32], Targets] = _as_they_are
+    """Targets, by the inputs, these changes in units of their deviations, weights of the squared errors of the first
+    n_beside + 3, and the deviations."""
+    symmetries: Sequence[Collection[str]] = ()
+    """Names among inputs, ``beside`` and ``outputs`` that change sign where a motion is exchanged for another that is
+    as possible. Networks learn from all copies."""
+
+    objection: Callable[[Medium, Physics], str] = _learns_any_medium
+    """Why networks can't learn a medium, such as "acts above y = 0: expected plain"; "" if they can."""
+    warning: Callable[[Transitions], str] = _learns_from_any_throws
+    """What makes it doubtful that they learn from throws, in a line; "" if nothing does."""
+
+    def __repr__(self) -> str:
+        return f"Form({self.name!r})"
+
+    @property
+    def n_errors(self) -> int:
+        """Number of squared errors of a row: of the components beside, and of three velocities."""
+        return len(self.beside) + N_VELOCITIES
+
+    @property
+    def learned(self) -> tuple[str, ...]:
+        """What all outputs of a network in training are measured by; only the last ones, the outputs, act."""
+        return (*self.beside, *self.outputs)
+
+
+FORMS: dict[str, Form] = {}  # forms by name
+
+
+def register_form(form: Form) -> Form:
+    """Add a form to the registry, and return it.
+
+    Raises:
+        ValueError: another form has the name, or its formulas do not fit it.
+    """
+    if form.name in FORMS:
+        raise ValueError(f"form {form.name!r} is registered twice, expected one form of that name")
+    some = np.ones(1, np.float32)
+    inputs = form.read(LinkStates(*[some] * len(fields(LinkStates))))
+    if len(inputs) != len(form.inputs):
+        names = ", ".join(form.inputs)
+        raise ValueError(f"form {form.name!r}: read returns {len(inputs)} inputs, expected {len(form.inputs)}: {names}")
+    if (n := len(form.act([some] * len(form.outputs), inputs))) != N_VELOCITIES:
+        raise ValueError(f"form {form.name!r}: act returns {n} changes, expected {N_VELOCITIES}: of vx, vy and omega")
+    FORMS[form.name] = form
+    return form
+
+
+def form_named(name: str) -> Form:
+    """Return a form; raise ValueError if there is none of the name."""
+    if name not in FORMS:
+        said = f"network.form: expected any of {', '.join(sorted(FORMS))}, got {name!r}"
+        raise ValueError("; ".join([said, *FAILURES]))
+    return FORMS[name]
+
+
+def observe(form: Form, links: LinkStates) -> Float32:
+    """Return (..., n_inputs) inputs, computed in float32 by the states of links, arrays of one shape (...).
+
+    A state that is not finite, or too large for float32, gives inputs that are not finite and no error, because a
+    diverged rollout is a status.
+    """
+    with np.errstate(all="ignore"):
+        arrays = (np.asarray(getattr(links, field.name)).astype(np.float32) for field in fields(links))
+        return np.stack(form.read(LinkStates(*arrays)), axis=-1)
+
+
+def velocity_changes(form: Form, outputs: Floats, inputs: Floats) -> Floats:
+    """Return (..., 3) changes of vx, vy and ω by (..., n_outputs) outputs and (..., n_inputs) inputs."""
+    return np.stack(form.act(*(tuple(np.moveaxis(rows, -1, 0)) for rows in (outputs, inputs))), axis=-1)
+
+
+def symmetric_copies(
+    form: Form, inputs: Float32, change: Float32, weights: Float32
+) -> tuple[Float32, Float32, Float32]:
+    """Return the rows, and their copies by each symmetry and by several at once."""
+    for odd in form.symmetries:
+        inputs, change = (
+            np.concatenate((rows, rows * np.array([1 - 2 * (name in odd) for name in names], np.float32)))
+            for rows, names in ((inputs, form.inputs), (change, form.learned))
+        )
+        weights = np.tile(weights, (2, 1))
+    return inputs, change, weights

@@ -1,0 +1,59 @@
+"""Forms: what all of them promise, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.residual import FORMS, Architecture, Throws, Training, form_named, initial_states, simulate_throws
+from tasks.residual.ensemble import Ensemble
+from tasks.residual.forms import observe, register_form, velocity_changes
+from tasks.residual.forms.plain import PLAIN
+from tasks.residual.training import train_member
+from tasks.world import LinkStates, Physics, Slush
+
+
+def links(n=1000, seed=0):
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-9, 9, n)
+    y, vx, vy, omega = rng.normal(size=(4, n)) * 3
+    arrays = (rng.uniform(1, 3, n), np.ones(n), np.ones(n), y, np.cos(angle), np.sin(angle), vx, vy, omega)
+    return LinkStates(*(array.astype(np.float32) for array in arrays))
+
+
+@pytest.mark.parametrize("name", sorted(FORMS))
+def test_stored_networks_of_a_form_predict_links_as_they_were_trained(name):
+    found = simulate_throws(initial_states(Throws(n_throws=8), np.random.default_rng(1)), 20, Slush(), Physics())
+    training = Training(n_iterations=20, batch_size=64, held_out=0.0)
+    arrays = train_member(found, Architecture(hidden_layers=1, width=8, form=name), training, seed=1, member=0).arrays()
+    ensemble, form = Ensemble.from_members([arrays, arrays]), FORMS[name]
+    assert ensemble.form is form and ensemble.weights[0].shape == (2, len(form.inputs), 8)
+    states = LinkStates(**{name: np.stack([array, array]) for name, array in vars(links()).items()})
+    change = ensemble.velocity_change(states, Physics())
+    inputs = observe(form, states)
+    hidden = ((inputs[0] - arrays["observation_mean"]) / arrays["observation_deviation"]) @ arrays["weight_0"]
+    standard = np.maximum(hidden + arrays["bias_0"], 0) @ arrays["weight_1"] + arrays["bias_1"]
+    outputs = standard * arrays["residual_deviation"] + arrays["residual_mean"]
+    expected = velocity_changes(form, outputs[:, len(form.beside) :], inputs[0])
+    assert np.stack([change.vx, change.vy, change.omega], axis=-1)[1] == pytest.approx(expected, rel=1e-3, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({}, "form 'plain' is registered twice"),
+        ({"name": "other", "inputs": ("y",)}, "form 'other': read returns 6 inputs, expected 1: y"),
+        (
+            {"name": "other", "act": lambda outputs, inputs: outputs[:2]},
+            "form 'other': act returns 2 changes, expected 3",
+        ),
+    ],
+)
+def test_a_form_that_does_not_fit_itself_is_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        register_form(replace(PLAIN, **wrong))
+
+
+def test_an_unknown_form_is_answered_with_the_list():
+    with pytest.raises(ValueError, match="expected any of plain, signed_angle, wetted, got 'wet'"):
+        form_named("wet")
