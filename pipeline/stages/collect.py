@@ -31,15 +31,7 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.bench.tracks import Tracks, residual_transitions
-from tasks.residual import (
-    STATE,
-    Throws,
-    Transitions,
-    form_named,
-    initial_states,
-    robot_ranges,
-    simulate_throws,
-)
+from tasks.residual import STATE, Throws, Transitions, form_named, initial_states, robot_ranges, simulate_throws
 from tasks.seeding import generator, replicate_seed
 from tasks.world import EnvironmentName, Physics
 
