@@ -46,14 +46,12 @@ def main() -> None:
     console = Console(width=118)
     figures: list[Benchmark] = []
     for measure in (
-        engines.first_generation,
         engines.steps,
         engines.bodies,
         engines.packing,
         evolution.own_work,
         engines.two_processes,
         networks.inference,
-        networks.generation,
         networks.wetted,
         networks.training,
     ):

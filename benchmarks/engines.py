@@ -5,9 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import statistics
-import subprocess
-import sys
-import tempfile
 import time
 from functools import partial
 from typing import Any
@@ -40,35 +37,6 @@ BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it is frozen)
     """Draw the same generation of designs in every call."""
     return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
-
-
-def first_generation() -> list[Benchmark]:
-    """Time the first generation of a trial: with compilation of all kernels, then with kernels from the cache."""
-    program = (
-        "import time\n"
-        "import puddle\n"  # which opens the cache of kernels
-        "from functools import partial\n"
-        "from tasks.evolution import Afpo, Trial, evaluate, evolve\n"
-        "from tasks.seeding import generator\n"
-        "from tasks.simulation import simulate\n"
-        "from tasks.world import TrueSlush\n"
-        "def score(designs):\n"
-        "    rollouts = simulate(designs, TrueSlush(1.0), n_settle=1, n_measure=1)\n"
-        "    return evaluate(rollouts, disagreement_penalty=0.0)\n"
-        "start = time.perf_counter()\n"
-        "evolve([Trial(partial(generator, 0))], score, first_generation=0, n_generations=1, search=Afpo())\n"
-        "print(time.perf_counter() - start)\n"
-    )
-    with tempfile.TemporaryDirectory() as cache:
-        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        cold, *warm = (
-            float(subprocess.check_output([sys.executable, "-c", program], env=environment, stderr=subprocess.DEVNULL))
-            for _ in range(4)
-        )
-    return [
-        Benchmark("first generation, compiling", [cold], "s", 20.0),
-        Benchmark("first generation, from the cache", warm, "s", 1.0),
-    ]
 
 
 def _batch(designs: Designs, environment: Environment) -> float:

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from benchmarks.engines import N_ROUNDS, N_STEPS, designs
+from benchmarks.engines import N_ROUNDS, designs
 from benchmarks.measure import Benchmark, seconds
 from tasks.arrays import Float32
 from tasks.residual import Architecture, Form, Training
@@ -32,8 +32,6 @@ from tasks.simulation.networks.tiles import N_LANES
 from tasks.world import ResidualSlush
 
 N_MEMBERS = 8
-N_TIMED = 140
-"""Timed steps, scaled to the N_STEPS of a generation: every step costs the same."""
 SHAPES = ((2, 32), (2, 64), (3, 128), (4, 256))
 N_CHAINS = 24 if N_LANES == 16 else 12
 
@@ -111,43 +109,23 @@ def inference() -> list[Benchmark]:
     for hidden_layers, width in SHAPES:
         nets = ensemble(hidden_layers, width)
         flop = 2 * rows.shape[0] * rows.shape[1] * sum(a * b for a, b in pairwise((6, *[width] * hidden_layers, 3)))
-        error = abs(nets.predict(rows) - by_torch(nets, rows)).max() / abs(nets.predict(rows)).max()
-        rates, shares, ratios = [], [], []
+        shares, ratios = [], []
         for _ in range(N_ROUNDS):
             peak = max(peak_gflops() for _ in range(5))
             ours, theirs = (
                 min(seconds(lambda run=run: run(rows)) for _ in range(8))
                 for run in (nets.predict, partial(by_torch, nets))
             )
-            rates.append(rows.shape[0] * rows.shape[1] / ours / 1e6)
             shares.append(100 * flop / ours / 1e9 / peak)
             ratios.append(theirs / ours)
         shape = f"{hidden_layers} × {width}"
         figures += [
-            Benchmark(f"networks {shape}", rates, "million rows/s"),
             Benchmark(f"networks {shape} of the fp32 peak", shares, "%", 70.0 if width == 256 else None, at_least=True),
             Benchmark(
                 f"networks {shape} over torch", ratios, "times", 1.3 if width in (64, 128) else None, at_least=True
             ),
-            Benchmark(f"networks {shape} from torch, relative", [float(error)], "1", 1e-5),
         ]
     return [Benchmark("fp32 peak of the core", [peak_gflops() for _ in range(N_ROUNDS)], "GFLOP/s"), *figures]
-
-
-def generation() -> list[Benchmark]:
-    """Evaluate a generation in Residual Slush: 64 designs, 8 members."""
-    figures = []
-    for hidden_layers, width in SHAPES:
-        environment = ResidualSlush(2.0, ensemble(hidden_layers, width))
-        simulate(designs(), environment, n_settle=1, n_measure=1)
-        rounds = [
-            seconds(lambda e=environment: simulate(designs(), e, n_settle=N_TIMED // 7, n_measure=6 * N_TIMED // 7))
-            for _ in range(3)
-        ]
-        scaled = [r * N_STEPS / N_TIMED for r in rounds]
-        bound = 16.0 if width == 256 else None
-        figures.append(Benchmark(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", bound))
-    return figures
 
 
 def wetted() -> list[Benchmark]:
