@@ -19,7 +19,6 @@ from tasks.evolution import (
     PAPERS_SEARCH,
     SEARCHES,
     Afpo,
-    Deviation,
     Objective,
     ObjectiveName,
     Optimiser,
@@ -50,9 +49,6 @@ class EnsembleSettings(Parameters):
     """Number of independently initialised networks. [P]"""
     disagreement_penalty: float = Field(default=1.0, ge=0.0, le=100.0)
     """Weight k of disagreement in the fitness μ - k σ over members. [P]"""
-    deviation: Deviation = "population"
-    """What σ over n members is: the population's deviation, with n in its denominator, or the sample's, with n - 1,
-    which is 7 % larger for 8. The paper does not say; the population's is the default of NumPy and exists for one."""
 
 
 class GridSettings(Parameters):
@@ -254,12 +250,6 @@ class Settings(Parameters):
             raise ValueError(
                 "physics.passive_joints is locked, so motors decide which links form one body: "
                 "expected evolution.morphology.n_actuated, the number of motors"
-            )
-        if self.physics.range_of_motion != "amplitude" and self.evolution.morphology.constrains_gaits:
-            raise ValueError(
-                f"physics.range_of_motion is {self.physics.range_of_motion}, but evolution.morphology limits gaits, of "
-                "which it is the amplitude: expected amplitude, or no max_joint_speed and unjoined_links other than "
-                "apart_in_gait"
             )
         if self.replicates > self.grid.n_trials:
             raise ValueError(

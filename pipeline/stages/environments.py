@@ -16,7 +16,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
 from tasks.design import Designs, random_designs
-from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
+from tasks.evolution import OBJECTIVES, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual import Architecture
 from tasks.residual.learner import NetworkUse
@@ -217,7 +217,6 @@ class FitnessSpec:
     disagreement_penalty: float  # weight of the members' disagreement; 0 without an ensemble
     objective: ObjectiveName
     objective_depths: tuple[float, ...]  # [m], over which an objective over depths is the mean; otherwise none
-    deviation: Deviation  # what σ over members is; "population" without an ensemble
 
 
 def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:
@@ -225,8 +224,8 @@ def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpe
     objective, depths = settings.evolution.objective, settings.objective_depths
     kind = settings.learner(environment) or ENVIRONMENTS.get(environment)
     if kind is None or not kind.is_ensemble:
-        return FitnessSpec(0.0, objective, depths, "population")
-    return FitnessSpec(settings.ensemble.disagreement_penalty, objective, depths, settings.ensemble.deviation)
+        return FitnessSpec(0.0, objective, depths)
+    return FitnessSpec(settings.ensemble.disagreement_penalty, objective, depths)
 
 
 def evaluate_designs(
@@ -245,7 +244,6 @@ def evaluate_designs(
         disagreement_penalty=fitness.disagreement_penalty,
         objective=fitness.objective,
         at_depths=[rollouts[depth] for depth in fitness.objective_depths],
-        deviation=fitness.deviation,
     )
 
 

@@ -153,12 +153,7 @@ def data_spec(settings: Settings, trials: Sequence[TrialId]) -> DataSpec:
         tuple(trials),
         environments.simulation_spec(settings, settings.target, *(arm.environment for arm in arms_of(trials))),
         AnalysisSettings(
-            settings.assessed_depth,
-            settings.arm_learners,
-            settings.ensemble.deviation,
-            settings.tank,
-            settings.physics,
-            settings.rollout.n_settle,
+            settings.assessed_depth, settings.arm_learners, settings.tank, settings.physics, settings.rollout.n_settle
         ),
         settings.target,
         environments.fitness_spec(settings, settings.target),

@@ -91,7 +91,7 @@ def _compute(item: Item[ScoreSpec], inputs: Inputs) -> Files:
     has_sd = home.is_ensemble and home.n_members > 1
     for suffix, (values,) in {"": at_home.displacement, "_score": at_home.scores}.items():
         scores[f"predicted{suffix}"] = float(values.mean())
-        sd = float(disagreement(values[None], spec.fitness.deviation)[0]) if has_sd else None
+        sd = float(disagreement(values[None])[0]) if has_sd else None
         scores |= {f"predicted_sd{suffix}": sd} if has_sd or not suffix else {}
     scores |= in_target("zero_shot", champion)
     if _ADAPTED in inputs and (adapted := champion_of(population_of(inputs[_ADAPTED]))) is not None:

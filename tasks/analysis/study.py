@@ -10,7 +10,7 @@ from tasks.analysis.scores import Champion, ScoredTrial
 from tasks.analysis.tank import Tank
 from tasks.arrays import Float64, Int64
 from tasks.design import Designs
-from tasks.evolution import Deviation, Population
+from tasks.evolution import Population
 from tasks.residual.learner import Learner
 from tasks.simulation import Rollouts
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics
@@ -32,7 +32,6 @@ class AnalysisSettings:
 
     assessed_depth: float  # depth at which designs are assessed [m]
     learners: Mapping[EnvironmentName, Learner]  # of the arms, those of the main ensemble first
-    deviation: Deviation  # what σ over members is
     tank: Tank | None  # the virtual tank, if the study has one
     physics: Physics  # constants of the base simulator
     n_settle: int  # steps of a rollout before displacement is measured

@@ -2,14 +2,14 @@
 
     swing = A · sin(2π (f t + phase))        target angle = rest angle + swing
 
-with one frequency f per robot. The amplitude A is the joint's range of motion, or half of it, as the setting
-``physics.range_of_motion`` has it. Everything that moves a joint calls :func:`swing`: both engines, the constraints on
-designs, and the servos of a robot that was built. Only this module knows the formula and what follows from it.
+with one frequency f per robot; the amplitude A is the joint's range of motion. Everything that moves a joint calls
+:func:`swing`: both engines, the constraints on designs, and the servos of a robot that was built. Only this module
+knows the formula and what follows from it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -17,17 +17,14 @@ from tasks.arrays import Float64
 from tasks.compiled import formula
 from tasks.design.genes import Designs
 
-RangeOfMotion = Literal["amplitude", "peak_to_peak"]  # what a joint's range of motion is of its oscillation
-_SHARE: Mapping[RangeOfMotion, float] = {"amplitude": 1.0, "peak_to_peak": 0.5}  # of the range that is the amplitude
-
 TURN = 2 * np.pi  # [rad]
 AMPLITUDE, PHASE = range(2)  # numbers of a joint's gait: [rad], [turns]
 N_NUMBERS = 2
 
 
-def gaits_of(designs: Designs, range_of_motion: RangeOfMotion = "amplitude") -> Float64:
+def gaits_of(designs: Designs) -> Float64:
     """Return (N_NUMBERS, n_designs, n_links) numbers of the joints' gaits; a root's are ignored."""
-    return np.stack([_SHARE[range_of_motion] * designs.motion_range, designs.phase / TURN])
+    return np.stack([designs.motion_range, designs.phase / TURN])
 
 
 @formula

@@ -9,7 +9,6 @@ Designs that a morphology does not allow are rejected and drawn anew. variation_
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
@@ -33,9 +32,6 @@ class Mutation(Parameters):
     """Standard deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability that one link of a mutant gets another parent."""
-    changed_genes: Literal["step", "redraw"] = "step"
-    """What a changed gene does: it takes a Gaussian step, or is drawn anew as in a random design, whatever the step. A
-    flag flips. The paper's "randomly modified copies" may be either; steps find better robots."""
 
 
 _MUTATION = Mutation()
@@ -71,7 +67,6 @@ def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart
         numbers=_numbers(parts, n_actuated),
         change=mutation.genes_changed / N_GENES,
         step=mutation.step,
-        redraws=mutation.changed_genes == "redraw",
         rewiring=mutation.rewiring if "body" in parts else BODY_STAYS,
     )
 

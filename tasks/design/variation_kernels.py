@@ -7,7 +7,6 @@ An operator draws the same number of random numbers for every design, needed or 
 the next gene.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +44,6 @@ class Variation(NamedTuple):
     numbers: Numbers  # those that may change
     change: float  # probability that a number does
     step: float  # deviation of the Gaussian step, as a share of the gene's range
-    redraws: bool  # whether a number that changes is drawn anew instead
     rewiring: float  # probability that one link of a design gets another parent, or BODY_STAYS
 
 
@@ -108,10 +106,7 @@ def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> No
                 column = numbers.column[number]
                 if changes[design, number]:
                     old, step = table[design, column], steps[design, number]
-                    if variation.redraws:
-                        table[design, column] = _redrawn(numbers, number, old, step)
-                    else:
-                        table[design, column] = _stepped(numbers, number, old, step * variation.step)
+                    table[design, column] = _stepped(numbers, number, old, step * variation.step)
                 is_same[design] &= table[design, column] == before[design, column]
             n_same += is_same[design]
         if n_same == 0:
@@ -123,15 +118,6 @@ def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> No
             changes[design, drawn[design]] = is_same[design]
     if variation.rewiring != BODY_STAYS:
         _rewire(table, rng, variation.rewiring)
-
-
-@inline
-def _redrawn(numbers: Numbers, number: int, old: float, normal: float) -> float:
-    """Draw a number uniformly from its gene's range, by the rank of a standard normal number; flip a flag."""
-    low, high = float(numbers.low[number]), float(numbers.high[number])
-    if numbers.is_flag[number]:
-        return 1.0 - old
-    return low + (high - low) * (1.0 + math.erf(normal / math.sqrt(2.0))) / 2.0
 
 
 @inline

@@ -9,7 +9,6 @@ from tasks.evolution.breeding import OPERATORS
 from tasks.evolution.objectives import (
     OBJECTIVES,
     PAPERS_OBJECTIVE,
-    Deviation,
     Evaluation,
     Objective,
     ObjectiveName,

@@ -25,6 +25,8 @@ from tasks.world import Environment, LinkStates, Medium, Physics, as_environment
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
+_X_REACH = 0.2  # initial x lies within ± this [m]; paper
+
 
 class Throws(Parameters):
     """Settings of the throws."""
@@ -43,21 +45,17 @@ class Throws(Parameters):
     ranges below."""
     length_scales: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 2.0, 3.0), min_length=1)
     """Long axes of links, drawn with equal probability [m]. [P]"""
-    x_reach: float = Field(default=0.2, ge=0.0, le=1000.0)
-    """Initial x lies within ± this [m]. [P]"""
     y_reach: float = Field(default=6.0, ge=0.0, le=1000.0)
     """Initial y lies within ± this [m], above and in the slush. [P]"""
     max_velocity: float = Field(default=20.0, ge=0.0, le=80.0)
     """Initial vx and vy lie within ± this [m/s]. [P] Box2D limits motion to 2 m per step."""
     max_omega: float = Field(default=20.0, ge=0.0, le=90.0)
     """Initial ω lies within ± this [rad/s]. [P] Box2D limits rotation to π/2 per step."""
-    throw_speed: Literal["uniform", "log_uniform"] = "uniform"
-    """Initial velocities: uniform [P], or all three of a throw times 10^U(-2, 0), for more low speeds."""
 
     @model_validator(mode="after")
     def _ranges_are_used(self) -> Self:
         if self.design == "robots":
-            ranges = ("length_scales", "x_reach", "y_reach", "max_velocity", "max_omega", "throw_speed")
+            ranges = ("length_scales", "y_reach", "max_velocity", "max_omega")
             changed = [name for name in ranges if getattr(self, name) != type(self).model_fields[name].default]
             if changed:
                 raise ValueError(f"design is robots, which ignores {', '.join(changed)}: expected the design paper")
@@ -154,12 +152,10 @@ def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | 
     n = throws.n_throws
     if throws.design == "robots":
         return even_starts(n, physics or Physics(), rng)
-    reach = np.array((throws.x_reach, throws.y_reach, np.pi, *[throws.max_velocity] * 2, throws.max_omega))
+    reach = np.array((_X_REACH, throws.y_reach, np.pi, *[throws.max_velocity] * 2, throws.max_omega))
     length_scale = rng.choice(np.array(throws.length_scales), size=n)
     state = rng.uniform(-1.0, 1.0, size=(n, len(STATE))) * reach
     state[:, STATE.index("angle")] += np.pi  # 0 to 2π
-    if throws.throw_speed == "log_uniform":
-        state[:, 3:] *= 10 ** rng.uniform(-2.0, 0.0, size=(n, 1))
     return Starts(np.arange(n), length_scale, state.astype(np.float32))
 
 

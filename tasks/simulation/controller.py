@@ -16,7 +16,7 @@ import numpy as np
 
 from tasks.arrays import Bools, Float32
 from tasks.compiled import formula
-from tasks.design.gait import RangeOfMotion, gaits_of, swing
+from tasks.design.gait import gaits_of, swing
 from tasks.design.genes import Designs
 from tasks.simd.lanes import Numeric, floor, select
 from tasks.world.physics import Physics
@@ -65,13 +65,13 @@ class Controllers:
     motor_on: Bools  # (n_designs, n_links); False for the root, which has no joint
 
     @staticmethod
-    def of(designs: Designs, range_of_motion: RangeOfMotion = "amplitude") -> Controllers:
+    def of(designs: Designs) -> Controllers:
         """Return the controllers of designs."""
         single = np.float32
         jointed = np.arange(designs.parent.shape[1]) > 0
         return Controllers(
             frequency=designs.frequency[:, None].astype(single),
-            gait=gaits_of(designs, range_of_motion).astype(single),
+            gait=gaits_of(designs).astype(single),
             rest_angle=designs.rest_angle.astype(single),
             motor_on=designs.motor_on & jointed,
         )

@@ -26,7 +26,7 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None) -> str:
     """
     physics = physics or Physics()
     trees = kinematic_trees(design, density=physics.link_density)
-    gaits = gaits_of(design, physics.range_of_motion)[:, 0]
+    gaits = gaits_of(design)[:, 0]
     model = Xml.Element("mujoco", model="puddle")
     Xml.SubElement(model, "compiler", angle="radian")
     Xml.SubElement(

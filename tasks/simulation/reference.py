@@ -148,7 +148,7 @@ def roll_out(
     n_members, n_designs, n_steps = environment.n_members, len(designs), n_settle + n_measure
     trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
-    controllers = Controllers.of(designs, physics.range_of_motion)
+    controllers = Controllers.of(designs)
     robots = [
         _Robot(trees, rigid, design, controllers, environment.depth, physics)
         for _ in range(n_members)

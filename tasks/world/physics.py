@@ -8,7 +8,6 @@ from math import sqrt
 from pydantic import Field
 
 from tasks.design.body import PassiveJoints
-from tasks.design.gait import RangeOfMotion
 from tasks.parameters import Parameters
 
 
@@ -41,9 +40,6 @@ class Physics(Parameters):
     link_collisions: bool = False
     """Whether links that no joint connects collide; all links collide with the ground. [P]: they did in the robot that
     was built."""
-    range_of_motion: RangeOfMotion = "amplitude"
-    """What a joint's range of motion is of its oscillation. The paper's ranges of 0.2 to π/2 fit both. Peak to peak,
-    robots in slush hardly travel, far less than the paper's."""
 
 
 def froude_time(length: float) -> float:

@@ -30,7 +30,6 @@ ENGINES: dict[str, dict[str, Any]] = {
 AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torque=30.0)
 OTHER_PHYSICS: dict[str, dict[str, Any]] = {
     "all other constants": OTHER_CONSTANTS,
-    "peak to peak": {"range_of_motion": "peak_to_peak"},
     "slow motors": {"max_motor_speed": 0.4},
 }
 N_DESIGNS = 9

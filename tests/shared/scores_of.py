@@ -30,7 +30,7 @@ def study_of(zero_shot, target="true_slush", **others):
     trials = trials_of(zero_shot, **others)
     rng = lambda *identity: np.random.default_rng(0)  # noqa: E731
     learners = {name: learner for name, _ in zero_shot if (learner := Settings().learner(name))}
-    settings = SimpleNamespace(data_sets=(), learners=learners, assessed_depth=9.0, deviation="population")
+    settings = SimpleNamespace(data_sets=(), learners=learners, assessed_depth=9.0)
     papers = target == "true_slush"
     return SimpleNamespace(trials=trials, rng=rng, settings=settings, target=target, has_papers_target=papers)
 

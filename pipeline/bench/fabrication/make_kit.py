@@ -28,11 +28,6 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
     Raises PuddleError if the kit can't be made; nothing was written.
     """
     require_cad()
-    if (motion := source.settings.physics.range_of_motion) != "amplitude":
-        raise PuddleError(
-            f"{source.settings.name}: physics.range_of_motion is {motion}, but a kit's servos swing by the range to "
-            f"either side: expected amplitude"
-        )
     place = KIT.check_place(out)
     # Imported late, because the CAD kernel takes ten seconds.
     from pipeline.bench.fabrication.bench import bench_of

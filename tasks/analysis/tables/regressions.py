@@ -17,7 +17,7 @@ from tasks.analysis.estimates import MISSING, RESOLUTION, Estimate, bootstrap, o
 from tasks.analysis.registry import analysis
 from tasks.analysis.study import Assessed, StudyData
 from tasks.arrays import Float64, Int64
-from tasks.evolution import Deviation, penalised_mean
+from tasks.evolution import penalised_mean
 from tasks.residual.learner import NO_LEARNERS, Learner, arm_kind
 
 MEAN, CAUTIOUS = "mean", "mean - 1 sd"  # the paper's two aggregates, μ and μ − σ
@@ -72,20 +72,23 @@ def regressions(study: StudyData) -> list[Regression]:
 
 
 def regressions_of(study: StudyData, data_set: str) -> list[Regression]:
-    """Regress true displacement on every predictor of a data set's ensemble, with intervals from the same resamples."""
-    assessed, rng = study.assessed(data_set), study.rng("accuracy", data_set)
-    return [] if assessed is None else accuracy(assessed, data_set, study.settings.deviation, rng)
+    """Regress true displacement on every predictor of a data set's ensemble.
+
+    Intervals come from the same resamples for all predictors and ensembles, which predict the same designs.
+    """
+    assessed, rng = study.assessed(data_set), study.rng("accuracy", "throws")
+    return [] if assessed is None else accuracy(assessed, data_set, rng)
 
 
-def predictors_of(predicted: Float64, deviation: Deviation) -> dict[str, Float64]:
+def predictors_of(predicted: Float64) -> dict[str, Float64]:
     """Return the predictions of each of n_members members, (n_members, n_designs), and their aggregates, by name."""
-    cautious = penalised_mean(predicted.T, disagreement_penalty=1.0, deviation=deviation)
+    cautious = penalised_mean(predicted.T, disagreement_penalty=1.0)
     return {**{f"member {k}": row for k, row in enumerate(predicted)}, MEAN: predicted.mean(axis=0), CAUTIOUS: cautious}
 
 
-def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.random.Generator) -> list[Regression]:
+def accuracy(assessed: Assessed, data_set: str, rng: np.random.Generator) -> list[Regression]:
     """Assess the ensemble that learned from a data set, by the designs that diverged nowhere."""
-    predictors = predictors_of(assessed.predicted, deviation)
+    predictors = predictors_of(assessed.predicted)
     x, y = np.stack(list(predictors.values())), assessed.true
     used = np.isfinite(y) & np.isfinite(x).all(axis=0)
     found: Sequence[Estimate] = [MISSING] * 3 * len(x)
@@ -98,7 +101,7 @@ def accuracy(assessed: Assessed, group: str, deviation: Deviation, rng: np.rando
         np.add.at(sums, trial, rows)
         found = _estimated(figures, sums, assessed.replicate[used][first], rng)
     of_each = {name: found[3 * i : 3 * i + 3] for i, name in enumerate(predictors)}
-    return [Regression(group, name, r if has_r else MISSING, *line) for name, (r, *line) in of_each.items()]
+    return [Regression(data_set, name, r if has_r else MISSING, *line) for name, (r, *line) in of_each.items()]
 
 
 def _moments(x: Float64, y: Float64) -> tuple[Float64, Callable[[Float64], Float64]]:

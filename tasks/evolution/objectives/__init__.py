@@ -4,7 +4,6 @@ from tasks.discovery import import_extensions
 from tasks.evolution.objectives.evaluation import (
     OBJECTIVES,
     PAPERS_OBJECTIVE,
-    Deviation,
     Evaluation,
     Objective,
     ObjectiveName,

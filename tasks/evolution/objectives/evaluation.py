@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -43,8 +43,6 @@ OBJECTIVES: dict[str, Objective] = {}  # objectives by name
 
 PAPERS_OBJECTIVE = "displacement"
 
-Deviation = Literal["population", "sample"]  # σ over n members: the sum of squares over n, or over n - 1
-
 ObjectiveName: TypeAlias = str  # name of a registered objective
 
 
@@ -75,7 +73,6 @@ def evaluate(
     disagreement_penalty: float,
     objective: ObjectiveName = PAPERS_OBJECTIVE,
     at_depths: Sequence[Rollouts] = (),
-    deviation: Deviation = "population",
 ) -> Evaluation:
     """Return the scores of rollouts; in an environment without an ensemble, the fitness is the score itself.
 
@@ -84,7 +81,6 @@ def evaluate(
         disagreement_penalty: k in μ - k σ over members.
         objective: name of the objective.
         at_depths: rollouts of the same designs under the same members at each depth of an objective over depths.
-        deviation: what σ is.
 
     Raises:
         ValueError: an objective over depths has no depths, or another one has some; or its scores have another shape.
@@ -99,7 +95,7 @@ def evaluate(
         raise ValueError(f"objective {chosen.name!r}: its score has shape {np.shape(scores)}, expected {expected}")
     by_member = np.atleast_2d(scores).T
     return Evaluation(
-        fitness=penalised_mean(by_member, disagreement_penalty=disagreement_penalty, deviation=deviation),
+        fitness=penalised_mean(by_member, disagreement_penalty=disagreement_penalty),
         displacement=np.atleast_2d(rollouts.displacement).T,
         com_displacement=np.atleast_2d(rollouts.com_displacement).T,
         scores=by_member,
@@ -112,22 +108,20 @@ def _mean_over_depths(objective: Objective, rollouts: Rollouts, at_depths: Seque
     return np.where(rollouts.status == OK, mean, np.nan)
 
 
-def penalised_mean(scores: Float64, *, disagreement_penalty: float, deviation: Deviation = "population") -> Float64:
+def penalised_mean(scores: Float64, *, disagreement_penalty: float) -> Float64:
     """Return (n_designs,) fitness: μ - k σ over members. The paper's k is 1.
 
     Args:
         scores: (n_designs, n_members), in the objective's unit. The fitness is -inf where a member's rollout diverged.
         disagreement_penalty: k.
-        deviation: what σ is.
     """
     finite = np.asarray(np.isfinite(scores).all(axis=1))
     known = np.where(finite[:, None], scores, 0.0)
-    fitness = known.mean(axis=1) - disagreement_penalty * disagreement(known, deviation)
+    fitness = known.mean(axis=1) - disagreement_penalty * disagreement(known)
     return np.where(finite, fitness, -np.inf)
 
 
-def disagreement(scores: Float64, deviation: Deviation) -> Float64:
-    """Return (n_designs,) σ of (n_designs, n_members) scores over members; a single member has none."""
-    n_members = scores.shape[1]
-    sigma: Float64 = scores.std(axis=1, ddof=1 if deviation == "sample" and n_members > 1 else 0)
+def disagreement(scores: Float64) -> Float64:
+    """Return (n_designs,) σ of (n_designs, n_members) scores over members, with n_members in its denominator."""
+    sigma: Float64 = scores.std(axis=1)
     return sigma

@@ -182,7 +182,7 @@ def _pack_joints(
     design, link = np.nonzero(rigid.is_first & (np.arange(N_LINKS) > 0))
     index, parent = body_index(rigid), designs.parent[design, link]
     center_a, center_b = center[design, rigid.first_link[design, parent]], center[design, link]
-    controllers = Controllers.of(designs, physics.range_of_motion)
+    controllers = Controllers.of(designs)
     max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
     for name, quantity in (
         ("body_a", index[design, parent]),

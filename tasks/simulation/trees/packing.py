@@ -64,7 +64,7 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
     order: Int64 = _ORDER_OF_TREE[tree]
     number: Int64 = _NUMBER_OF_TREE[tree]
     trees = kinematic_trees(designs, density=physics.link_density)
-    controllers = Controllers.of(designs, physics.range_of_motion)
+    controllers = Controllers.of(designs)
     length = designs.length_scale.astype(np.float32)
     inverse = _inverse_mass_and_inertia(trees.half_width, trees.half_height, physics.link_density)
     above = np.take_along_axis(number, np.maximum(designs.parent, 0), axis=1)

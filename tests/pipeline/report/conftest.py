@@ -84,7 +84,7 @@ def study(slush_replay, dry_replay, predicted_replay) -> StudyPage:
     true = rng.normal(3.0, 3.0, 300)
     predicted, trial = 0.6 * true + rng.normal(0.0, 2.0, (4, 300)), [f"{k % 5}" for k in range(300)]
     data = study_of(ZERO_SHOT, adapted=ADAPTED, predicted=PREDICTED)
-    data.settings.data_sets, data.settings.deviation = ("residual_slush", "designed_throws"), "sample"
+    data.settings.data_sets = ("residual_slush", "designed_throws")
     assessed = {
         group: Assessed(k + predicted, true, trial, np.zeros(300, np.int64))
         for k, group in enumerate(data.settings.data_sets)

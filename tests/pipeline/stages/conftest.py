@@ -1,4 +1,4 @@
-"""A study with several data sets and replicates, single members, domain randomisation, and the sample's deviation."""
+"""A study with several data sets and replicates, single members, and domain randomisation."""
 
 import pytest
 from small_study import labelled, run
@@ -20,7 +20,7 @@ learners: {designed_throws: {throws: {n_throws: 6}}}
 randomised_slush: {n_members: 3}
 network: {hidden_layers: 1, width: 4}
 training: {n_iterations: 10, batch_size: 16}
-ensemble: {n_members: 2, deviation: sample, disagreement_penalty: 0.5}
+ensemble: {n_members: 2, disagreement_penalty: 0.5}
 grid:
   depths: [1.0]
   environments: [true_slush, residual_slush, designed_throws, randomised_slush]

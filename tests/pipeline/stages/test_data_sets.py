@@ -97,7 +97,7 @@ def scores_of(sets, environment):
     return [decode_json(store.read(scored, SCORE), trial.label) for trial, scored in found.items()]
 
 
-def test_champions_of_ensembles_are_scored_with_the_sample_s_deviation(sets, analysed):
+def test_champions_of_ensembles_are_scored_with_their_disagreement(sets, analysed):
     """Of an ensemble's networks, or of the members of domain randomisation; their weight is 0.5."""
     for environment in ("residual_slush", "designed_throws", "randomised_slush"):
         for scores in scores_of(sets, environment):
@@ -126,5 +126,5 @@ def test_fitness_is_the_mean_over_members_less_their_disagreement(sets):
         history = HISTORY.read([StoredFiles(store, segments[0])])
         by_member = history["displacement"]
         assert by_member.shape[1] == n_members.get(trial.environment, by_member.shape[1])
-        deviation = by_member.std(axis=1, ddof=1) if by_member.shape[1] > 1 else 0.0
+        deviation = by_member.std(axis=1)
         np.testing.assert_allclose(history["fitness"], by_member.mean(axis=1) - 0.5 * deviation, rtol=1e-12)

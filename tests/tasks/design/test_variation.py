@@ -95,21 +95,6 @@ def test_an_interval_takes_a_gaussian_step_of_a_tenth_of_its_range() -> None:
     assert stats.kstest(steps, stats.norm(0, 0.1 * (3.0 - 1.0)).cdf).pvalue > 1e-3
 
 
-def test_a_gene_that_is_drawn_anew_is_uniform_wherever_it_was() -> None:
-    rng = np.random.default_rng(26)
-    parents = random_designs(20_000, rng)
-    parents = replace(parents, length_scale=np.full_like(parents.length_scale, 1.1))
-    mutation = Mutation(changed_genes="redraw", step=1e-6, rewiring=0.0)
-    mutants = mutate(parents, rng, mutation=mutation)
-    for name, low, high in (("length_scale", 1.0, 3.0), ("rest_angle", -np.pi, np.pi)):
-        before, after = getattr(parents, name), getattr(mutants, name)
-        drawn = after[after != before]
-        assert drawn.size > 5000
-        assert stats.kstest(drawn, stats.uniform(low, high - low).cdf).pvalue > 1e-3
-    flipped = (mutants.motor_on != parents.motor_on)[:, 1:]
-    assert flipped.mean() == pytest.approx(3 / N_GENES, rel=0.1)
-
-
 def test_angles_wrap_around() -> None:
     rng = np.random.default_rng(17)
     designs = random_designs(20_000, rng)

@@ -75,7 +75,7 @@ def test_a_throw_does_not_depend_on_its_chunk(starts, transitions):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"n_throws": 1}, {"length_scales": ()}, {"max_velocity": float("nan")}, {"throw_speed": "fast"}]
+    "wrong", [{"n_throws": 1}, {"length_scales": ()}, {"max_velocity": float("nan")}, {"throw_speed": "uniform"}]
 )
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):

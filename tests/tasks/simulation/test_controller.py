@@ -3,7 +3,6 @@
 import numpy as np
 
 from tasks.design import random_designs
-from tasks.design.gait import AMPLITUDE
 from tasks.simulation.controller import Controllers, sine_of_turns
 
 DT = 1 / 60
@@ -32,12 +31,3 @@ def test_the_target_angle() -> None:
         turns = designs.frequency[:, None] * step * DT + 1
         tolerance = np.pi / 2 * (2 * np.pi * 5 * EPS32 * turns + 3e-7) + 3 * EPS32 * 5
         assert (np.abs(controllers.target_angle(step, DT) - expected)[:, 1:] <= tolerance).all()
-
-
-def test_the_range_may_be_peak_to_peak() -> None:
-    designs = random_designs(20, np.random.default_rng(46))
-    whole, half = Controllers.of(designs), Controllers.of(designs, "peak_to_peak")
-    np.testing.assert_array_equal(half.gait[AMPLITUDE], whole.gait[AMPLITUDE] / 2)
-    for step in (0, 77, 1399):
-        from_rest = [of.target_angle(step, DT).astype(np.float64) - of.rest_angle for of in (whole, half)]
-        np.testing.assert_allclose(from_rest[1], from_rest[0] / 2, atol=4 * EPS32 * 5)

@@ -11,16 +11,12 @@ import pytest
 from command_line import call
 
 from pipeline.bench.fabrication.kit_files import KIT_MANIFEST, read_timeline
-from pipeline.bench.fabrication.make_kit import fabricate
-from pipeline.bench.fabrication.source import from_file
 from pipeline.bench.servo.play import Connection, User, play_timeline
 from pipeline.commands.proposal import proposed
 from pipeline.config.loading import load
-from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_json, load_design
 from tasks.bench.fabrication.calibration import Calibration
-from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import Designs
 
 pytestmark = pytest.mark.slow
@@ -110,14 +106,6 @@ def test_mistakes(made, tmp_path, capsys):
         assert call("fabricate", *arguments) == 2
         assert said in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["thesis", "thesis.tex"]
-
-
-def test_a_kit_takes_the_range_of_motion_for_an_amplitude(settings, tmp_path):
-    physics = settings.physics.model_copy(update={"range_of_motion": "peak_to_peak"})
-    source = from_file(BUILDABLE, settings.model_copy(update={"physics": physics}))
-    with pytest.raises(PuddleError, match=r"physics\.range_of_motion is peak_to_peak"):
-        fabricate(source, FabricationSettings(), tmp_path / "kit")
-    assert not (tmp_path / "kit").exists()
 
 
 def test_the_proposed_champion_of_a_study(recorded):

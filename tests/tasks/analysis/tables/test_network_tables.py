@@ -20,7 +20,7 @@ class PlantedStudy:
     champions: list[Champion]
     planted: object
 
-    settings = SimpleNamespace(learners={}, deviation="population")
+    settings = SimpleNamespace(learners={})
 
     def ensemble(self, champion=None):
         return self.planted

@@ -142,7 +142,7 @@ def test_figures_of_the_networks_are_compared_at_the_papers_depth():
     study.settings.data_sets, study.assessed = ("residual_slush",), lambda group: assessed
     rows = rows_of(study)
     assert len(rows) == len(AGGREGATES)
-    found = {row.name: row for row in accuracy(assessed, "residual_slush", "population", np.random.default_rng(0))}
+    found = {row.name: row for row in accuracy(assessed, "residual_slush", np.random.default_rng(0))}
     row = rows["Pearson's R of the members' mean, at 9 m"]
     off, wider = found["mean"].r.value - 0.77, math.sqrt(2)  # twenty trials, as in the paper
     low, high = (off + wider * (end - found["mean"].r.value) for end in found["mean"].r.interval)

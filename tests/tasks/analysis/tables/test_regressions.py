@@ -18,7 +18,7 @@ def assess(predicted, true, trial=None, replicate=None, seed=0):
     trial = [str(k) for k in (np.arange(len(true)) if trial is None else trial)]
     replicate = np.zeros(len(true), int) if replicate is None else replicate
     assessed = Assessed(predicted, true, trial, replicate)
-    return accuracy(assessed, "residual_slush", "population", np.random.default_rng(seed))
+    return accuracy(assessed, "residual_slush", np.random.default_rng(seed))
 
 
 def one(predicted, true, **options):
@@ -85,7 +85,7 @@ def test_equal_truths_have_a_slope_but_no_correlation():
 
 def test_aggregates_of_a_worked_example():
     """Members say 0, 2, 4, 10: mean 4, deviation √14."""
-    found = predictors_of(np.array([[10.0], [2.0], [0.0], [4.0]]), "population")
+    found = predictors_of(np.array([[10.0], [2.0], [0.0], [4.0]]))
     assert list(found) == ["member 0", "member 1", "member 2", "member 3", "mean", "mean - 1 sd"]
     assert found["mean"][0] == 4.0 and found["mean - 1 sd"][0] == pytest.approx(4 - math.sqrt(14))
 
@@ -106,7 +106,7 @@ def test_every_ensemble_is_assessed_and_the_main_one_gives_the_metrics():
     x, y = noisy(60, 0.5, 1.0)
     assessed = Assessed(np.stack((x, x + 0.1)), y, [str(k) for k in range(60)], np.zeros(60, int))
     study = SimpleNamespace(
-        settings=SimpleNamespace(data_sets=("residual_slush", "designed_throws", "none"), deviation="population"),
+        settings=SimpleNamespace(data_sets=("residual_slush", "designed_throws", "none")),
         assessed=lambda group: None if group == "none" else assessed,
         rng=lambda *identity: np.random.default_rng(0),
     )

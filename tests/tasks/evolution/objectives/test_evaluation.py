@@ -27,17 +27,6 @@ def test_fitness_is_the_mean_minus_the_deviation() -> None:
     np.testing.assert_allclose(penalised_mean(scores, disagreement_penalty=2.0), [4 - 2 * sigma, -2], rtol=1e-15)
 
 
-def test_the_deviation_may_be_the_samples() -> None:
-    # 1, 3, 8: μ = 4, σ² = (9 + 1 + 16) / 2 = 13. A single member has no deviation.
-    scores = np.array([[1.0, 3.0, 8.0]])
-    fitness = penalised_mean(scores, disagreement_penalty=1.0, deviation="sample")
-    np.testing.assert_allclose(fitness, 4 - np.sqrt(13), rtol=1e-15)
-    assert penalised_mean(scores[:, :1], disagreement_penalty=1.0, deviation="sample") == 1.0
-    # 1 and 3: μ = 2, σ² = (1 + 1) / 1. 4 and 4.
-    evaluation = evaluate(ENSEMBLE, disagreement_penalty=1.0, deviation="sample")
-    np.testing.assert_allclose(evaluation.fitness, [2 - np.sqrt(2), 4.0, -np.inf], rtol=1e-15)
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_one_diverged_member_is_enough(bad: float) -> None:
     scores = np.array([[1.0, bad], [1.0, 3.0]])
