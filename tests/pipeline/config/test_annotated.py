@@ -32,7 +32,7 @@ def test_a_setting_has_its_reason_above_and_its_default_beside_it():
         if ":" in line and not line.lstrip().startswith("#"):
             assert lines[number - 1].lstrip().startswith("# "), line
     assert 'name: "mine"  # default: "paper"' in lines
-    assert "One of: uniform, log_uniform." in " ".join(line.strip().lstrip("# ") for line in lines)  # it is wrapped
+    assert "One of: exponential, cosine." in " ".join(line.strip().lstrip("# ") for line in lines)  # it is wrapped
 
 
 def test_the_command_lists_the_chosen_settings(capsys):
