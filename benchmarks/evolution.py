@@ -64,8 +64,8 @@ def _shares(environment: Environment, trial: int) -> tuple[float, float]:
         )
     evolved = time.perf_counter() - start
     start = time.perf_counter()
-    encode_arrays(population.arrays(), schema="population", version=1, producer="bench")
-    encode_table(history, schema="history", version=1, producer="bench")
+    encode_arrays(population.arrays(), schema="population", version=1)
+    encode_table(history, schema="history", version=1)
     encoding = time.perf_counter() - start
     search = evolved - (evaluating - packing)
     return 100 * search / evolved, 100 * (search + encoding) / (evolved + encoding)

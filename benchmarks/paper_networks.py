@@ -83,7 +83,7 @@ def commit_networks(run: StageRun) -> None:
             thrown = throws_inputs(run.upstream[COLLECT.name], network.data_set)
             inputs = {name: source.read(run.store) for name, source in thrown.items()}
             trained[replicate] = list(networks(replicate, read_transitions(throws_among(inputs))))
-        _commit(run, progress, item, member_files(trained[replicate][network.index], item.key))
+        _commit(run, progress, item, member_files(trained[replicate][network.index]))
 
 
 def commit_trials(run: StageRun, folder: Path) -> None:

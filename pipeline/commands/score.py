@@ -83,6 +83,6 @@ def score(
     if out is not None:
         units = {**_UNITS, "fitness": objective.unit}
         table = {**columns_of_designs(path), **table}
-        content = encode_table(table, schema="scores", version=1, producer=str(path), units=units)
+        content = encode_table(table, schema="scores", version=1, units=units)
         disk.write(out, content if out.suffix == ".parquet" else csv_of(table))
         to_stdout(f"  scores in {out}")

@@ -73,7 +73,7 @@ def _compute(item: Item[AnalysisSpec], inputs: Inputs) -> Files:
     columns = columns_of(table.row, table.compute(study))
     units = {name: about.get("unit", "") for name, about in described(scored_by(study.objective, table.row)).items()}
     file = table_file(table)
-    return {file.name: file.encode(columns, item.key, units)}
+    return {file.name: file.encode(columns, units)}
 
 
 def table_file(table: Analysis) -> TableFile:

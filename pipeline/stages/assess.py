@@ -131,7 +131,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
         **dict(designs.arrays()),
     }
     units = _units(arm_kind(spec.target).label)
-    return {PREDICTIONS.name: PREDICTIONS.encode(columns, item.key, units)}
+    return {PREDICTIONS.name: PREDICTIONS.encode(columns, units)}
 
 
 def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:

@@ -105,22 +105,22 @@ def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
     if isinstance(spec, TracksSpec):
         read = read_tracks(inputs)
         tracked, report = residual_transitions(read.table, read.bars, spec.tracks, spec.physics)
-        return {TRANSITIONS.name: _encoded(tracked, item.key), TRACK_REPORT: encode_report(report)}
+        return {TRANSITIONS.name: _encoded(tracked), TRACK_REPORT: encode_report(report)}
     starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
     starts = starts[spec.first : spec.first + spec.n]
     medium = environments.build_environment(spec.media, spec.target, 0.0, {}).medium
     assert medium is not None  # what the base simulator lacks and the networks learn
     transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
-    files = {TRANSITIONS.name: _encoded(transitions, item.key)}
+    files = {TRANSITIONS.name: _encoded(transitions)}
     if spec.throws.design == "robots":
         files[_RANGES] = encode_json(asdict(robot_ranges(spec.physics)))
     return files
 
 
-def _encoded(transitions: Transitions, producer: str) -> bytes:
+def _encoded(transitions: Transitions) -> bytes:
     columns: dict[str, Any] = transitions.columns()
     units = {name: _UNITS[name] for name in columns}
-    return TRANSITIONS.encode(columns, producer, units)
+    return TRANSITIONS.encode(columns, units)
 
 
 def throws_inputs(collected: Results, data_set: DataSetId) -> Sources:

@@ -138,9 +138,9 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
     )
     return [
         {
-            POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=item.key),
-            HISTORY.name: HISTORY.encode(history, item.key, of_history),
-            CURVE.name: CURVE.encode(_curve(search, trial.population, history), item.key, of_curve),
+            POPULATION: encode_arrays(after.arrays(), schema="population", version=1),
+            HISTORY.name: HISTORY.encode(history, of_history),
+            CURVE.name: CURVE.encode(_curve(search, trial.population, history), of_curve),
         }
         for item, trial, (after, history) in zip(items, trials, advanced, strict=True)
     ]

@@ -76,10 +76,10 @@ def _compute(item: Item[MemberSpec], inputs: Inputs) -> Files:
 
     spec, transitions = item.spec, read_transitions(throws_among(inputs))
     trained = train_member(transitions, spec.network, spec.training, seed=spec.seed, member=spec.member)
-    return member_files(trained, item.key)
+    return member_files(trained)
 
 
-def member_files(trained: "TrainedMember", producer: str) -> Files:
+def member_files(trained: "TrainedMember") -> Files:
     """Encode a network, its learning curve and its errors."""
     iteration, training_loss, validation_loss = trained.learning_curve.T
     learning = {
@@ -89,9 +89,9 @@ def member_files(trained: "TrainedMember", producer: str) -> Files:
     }
     errors = {f.name: np.array([getattr(row, f.name) for row in trained.validation]) for f in fields(ErrorRow)}
     return {
-        WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=producer),
-        LEARNING.name: LEARNING.encode(learning, producer, {}),
-        ERRORS.name: ERRORS.encode(errors, producer, _ERROR_UNITS),
+        WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION),
+        LEARNING.name: LEARNING.encode(learning),
+        ERRORS.name: ERRORS.encode(errors, _ERROR_UNITS),
     }
 
 

@@ -107,7 +107,7 @@ def decode_document(data: bytes, *, schema: str, version: int, source: str) -> d
 
 
 def encode_table(
-    columns: Mapping[str, Array], *, schema: str, version: int, producer: str, units: Mapping[str, str] | None = None
+    columns: Mapping[str, Array], *, schema: str, version: int, units: Mapping[str, str] | None = None
 ) -> bytes:
     """Return a table as a Parquet file with zstd compression.
 
@@ -115,16 +115,14 @@ def encode_table(
         columns: by name, in order: numbers or flags of shape (n_rows,) or (n_rows, k), the latter stored as lists of
             k; or text of shape (n_rows,).
         schema, version: the table's format.
-        producer: key of the work item that produced it.
         units: units of columns, by name; SI where not named.
     """
-    arrays = {name: _pure_array(array) for name, array in columns.items()}
-    format_: Json = {"schema": schema, "version": version, "producer": producer, "units": dict(units or {})}
-    parts = [_arrow_column(array) for array in arrays.values()]
-    fields = [pa.field(name, part.type, nullable=False) for name, part in zip(arrays, parts, strict=True)]
-    table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={_METADATA_KEY: canonical_json(format_)}))
+    parts = [_arrow_column(array) for array in columns.values()]
+    fields = [pa.field(name, part.type, nullable=False) for name, part in zip(columns, parts, strict=True)]
+    label = canonical_json({"schema": schema, "version": version, "units": dict(units or {})})
+    table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={_METADATA_KEY: label}))
     sink = pa.BufferOutputStream()
-    texts = [name for name, array in arrays.items() if array.dtype.kind == "U"]  # dictionaries of numbers save nothing
+    texts = [name for name, array in columns.items() if array.dtype.kind == "U"]  # dictionaries of numbers save nothing
     pq.write_table(table, sink, compression="zstd", use_dictionary=texts, write_page_checksum=True)
     return bytes(sink.getvalue())
 
@@ -173,17 +171,11 @@ def _numpy_column(column: pa.ChunkedArray) -> Array:
 # -- arrays: safetensors ---------------------------------------------------------------------------------------------
 
 
-def encode_arrays(arrays: Mapping[str, Array], *, schema: str, version: int, producer: str) -> bytes:
-    """Return numbers or flags of any shape by name, such as a network's weights, as a safetensors file.
-
-    Args:
-        arrays: by name, in any order.
-        schema, version: the format.
-        producer: key of the work item that produced them.
-    """
-    pure = {name: _pure_array(arrays[name]) for name in sorted(arrays)}
-    format_ = canonical_json({"schema": schema, "version": version, "producer": producer})
-    return bytes(safetensors.numpy.save(pure, metadata={_METADATA_KEY: format_.decode()}))
+def encode_arrays(arrays: Mapping[str, Array], *, schema: str, version: int) -> bytes:
+    """Return numbers or flags of any shape by name, such as a network's weights, as a safetensors file."""
+    label = canonical_json({"schema": schema, "version": version}).decode()
+    ordered = {name: np.asarray(arrays[name], order="C") for name in sorted(arrays)}
+    return bytes(safetensors.numpy.save(ordered, metadata={_METADATA_KEY: label}))
 
 
 def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Array]:
@@ -202,9 +194,3 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> dic
     label = header.get("__metadata__", {}).get(_METADATA_KEY, "null")
     check_format(decode_json(label.encode(), source), schema=schema, version=version, source=source)
     return {name: np.array(loaded[name]) for name in sorted(loaded)}  # the loaded ones are read-only
-
-
-def _pure_array(array: Array) -> Array:
-    """Return an array in C order and little endian."""
-    array = np.asarray(array, order="C")
-    return array.astype(array.dtype.newbyteorder("<"), copy=False)

@@ -53,7 +53,7 @@ class Items:
         key = key_of(identity)
         entries = {name: FileEntry(digest(data), len(data)) for name, data in files.items()}
         document = encode_manifest(Manifest(stage, key, identity, entries, environment(), record))
-        manifest = decode_manifest(document, stage=stage, key=key, source=MANIFEST)  # as it will be read back
+        manifest = decode_manifest(document, MANIFEST)  # as it will be read back
         folder = self._item(stage, key)
         with disk.locked(self.root / "commit.lock"):
             with contextlib.suppress(DamagedArtifact):  # a damaged one counts as missing: here is its successor
@@ -77,27 +77,31 @@ class Items:
 
         This looks for every file, and at its length; with ``hashed`` also at its content, as :meth:`read` does.
         """
-        folder = self._item(stage, key)
-        with self._damage(stage, key):
-            try:
-                data = disk.read(folder / MANIFEST)
-            except FileNotFoundError:
-                return None
-            manifest = decode_manifest(data, stage=stage, key=key, source=str(folder / MANIFEST))
-            for name, entry in manifest.files.items():
-                path = folder / name
-                found = f"{path.stat().st_size} bytes" if path.is_file() else "no file"
-                _compare(path, f"{entry.n_bytes} bytes", found)
-                if hashed:
-                    _compare(path, f"SHA-256 {entry.sha256}", f"SHA-256 {disk.digest_of(path)}")
+        path = self.manifest_path(stage, key)
+        try:
+            manifest = decode_manifest(disk.read(path), str(path))
+        except FileNotFoundError:
+            return None
+        except DamagedArtifact as damage:
+            raise self.damaged(stage, key, str(damage)) from None
+        if (found := f"{manifest.stage} {manifest.key}") != (expected := f"{stage} {key}"):
+            raise self.damaged(stage, key, f"{path}: expected {expected}, got {found}")
+        for name, entry in manifest.files.items():
+            file = path.with_name(name)
+            found = f"{file.stat().st_size} bytes" if file.is_file() else "no file"
+            if found != f"{entry.n_bytes} bytes":
+                raise self.damaged(stage, key, f"{file}: expected {entry.n_bytes} bytes, got {found}")
+            if hashed:
+                self.read(manifest, name)
         return manifest
 
     def read(self, manifest: Manifest, name: str) -> bytes:
         """Return the content of a file; raise DamagedArtifact if it differs from what was committed."""
         path = self._item(manifest.stage, manifest.key) / name
-        with self._damage(manifest.stage, manifest.key):
-            data = disk.read(path) if path.is_file() else b""
-            _compare(path, f"SHA-256 {manifest.files[name].sha256}", f"SHA-256 {digest(data)}")
+        data = disk.read(path) if path.is_file() else b""
+        if (found := digest(data)) != (expected := manifest.files[name].sha256):
+            problem = f"{path}: expected SHA-256 {expected}, got SHA-256 {found}"
+            raise self.damaged(manifest.stage, manifest.key, problem)
         return data
 
     def discard(self, stage: str, key: str) -> None:
@@ -132,20 +136,16 @@ class Items:
         """Return the path of an item's manifest, whether or not the item is committed."""
         return self._item(stage, key) / MANIFEST
 
-    @contextlib.contextmanager
-    def _damage(self, stage: str, key: str) -> Iterator[None]:
-        """Add the item and advice to the message of any damage."""
-        try:
-            yield
-        except DamagedArtifact as damage:
-            discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
-            raise DamagedArtifact(
-                f"{damage}. Item {stage} {key[:12]} must be computed again; nothing else is lost. A study that needs "
-                f"it does so itself; otherwise `{discard}` discards what is damaged, and `puddle study` with the "
-                f"study's settings computes it again.",
-                stage=stage,
-                key=key,
-            ) from damage
+    def damaged(self, stage: str, key: str, problem: str) -> DamagedArtifact:
+        """Return the error that names an item and what is wrong with it, and gives advice."""
+        discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
+        return DamagedArtifact(
+            f"{problem}. Item {stage} {key[:12]} must be computed again; nothing else is lost. A study that needs it "
+            f"does so itself; otherwise `{discard}` discards what is damaged, and `puddle study` with the study's "
+            f"settings computes it again.",
+            stage=stage,
+            key=key,
+        )
 
     def _item(self, stage: str, key: str) -> Path:
         return self.root / "items" / check_name(stage, "stage") / key[:2] / check_name(key, "key")
@@ -157,8 +157,3 @@ class Items:
             return sorted(path.name for path in folder.iterdir() if NAME.fullmatch(path.name) and path.is_dir())
         except FileNotFoundError:
             return []
-
-
-def _compare(path: Path, expected: str, found: str) -> None:
-    if found != expected:
-        raise DamagedArtifact(f"{path}: expected {expected}, got {found}")

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from pipeline.errors import DamagedArtifact
-from pipeline.store.encoding import canonical_json, decode_document, digest, encode_document, key_of
+from pipeline.store.encoding import canonical_json, decode_document, digest, encode_document
 
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
@@ -19,7 +19,7 @@ class FileEntry:
     """SHA-256 and length of one file of an item."""
 
     sha256: str
-    n_bytes: Annotated[int, Field(alias="bytes")]
+    n_bytes: int
 
 
 @dataclass(frozen=True)
@@ -44,25 +44,14 @@ _MANIFEST = TypeAdapter(Manifest)
 
 def encode_manifest(manifest: Manifest) -> bytes:
     """Encode a manifest."""
-    body = _MANIFEST.dump_python(manifest, mode="json", by_alias=True)
-    return encode_document({**body, "digest": manifest.digest}, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION)
+    body = _MANIFEST.dump_python(manifest, mode="json")
+    return encode_document(body, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION)
 
 
-def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manifest:
-    """Return the manifest of an item from a document, which messages call ``source``.
-
-    Raises:
-        DamagedArtifact: the document was changed, or describes another item.
-        OtherVersion: another version of puddle wrote it.
-    """
+def decode_manifest(data: bytes, source: str) -> Manifest:
+    """Return the manifest in a document, which messages call ``source``; raise as :func:`decode_document`."""
     body = decode_document(data, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION, source=source)
     try:
-        manifest = _MANIFEST.validate_python(body)
+        return _MANIFEST.validate_python(body)
     except ValidationError as error:
         raise DamagedArtifact(f"{source}: expected a manifest's fields: {error}") from None
-    expected, found = (stage, key, body.get("digest")), (manifest.stage, key_of(manifest.identity), manifest.digest)
-    if found != expected:
-        raise DamagedArtifact(
-            "{}: expected {} {} of digest {}, got {} {} of digest {}".format(source, *expected, *found)
-        )
-    return manifest

@@ -120,9 +120,8 @@ class Store(Items):
                 wrong.append(error)
         for (stage, key), what in sorted(items.items()):
             try:
-                with self._damage(stage, key):
-                    if self.manifest(stage, key, hashed=True) is None:
-                        raise DamagedArtifact(f"{self.manifest_path(stage, key)}: expected a manifest, found no file")
+                if self.manifest(stage, key, hashed=True) is None:
+                    raise self.damaged(stage, key, f"{self.manifest_path(stage, key)}: expected a manifest, found none")
             except DamagedArtifact as error:
                 wrong.append(DamagedArtifact(f"{what}: {error}", stage=stage, key=key))
             except (PuddleError, OSError) as error:

@@ -31,9 +31,9 @@ class TableFile:
         """Name of the file."""
         return f"{self.schema}.parquet"
 
-    def encode(self, columns: Mapping[str, npt.NDArray[Any]], producer: str, units: Mapping[str, str]) -> bytes:
-        """Return the file's content; ``producer`` is the key of the item that makes it."""
-        return encode_table(columns, schema=self.schema, version=self.version, producer=producer, units=units)
+    def encode(self, columns: Mapping[str, npt.NDArray[Any]], units: Mapping[str, str] | None = None) -> bytes:
+        """Return the file's content; columns whose unit is not named are in SI."""
+        return encode_table(columns, schema=self.schema, version=self.version, units=units)
 
     def read(self, parts: Sequence[Mapping[str, bytes]], source: str = "") -> Columns:
         """Decode the parts among the files of one or more items, and join them; messages call them ``source``."""

@@ -36,9 +36,9 @@ def test_a_manifest_describes_the_item_and_where_it_was_made(store: Store, tmp_p
     made = json.loads((item(store) / "manifest.json").read_text())
     assert made["environment"]["numpy"] == np.__version__
     assert made["environment"]["cpu"] and made["environment"]["commit"]
-    assert made["schema"] == "puddle.manifest" and made["files"]["log"] == {"bytes": 0, "sha256": digest(b"")}
+    assert made["schema"] == "puddle.manifest" and made["files"]["log"] == {"n_bytes": 0, "sha256": digest(b"")}
     text = json.dumps([[name, digest(data)] for name, data in sorted(FILES.items())], separators=(",", ":"))
-    assert made["digest"] == committed.digest == digest(text.encode())
+    assert committed.digest == digest(text.encode())
     other = Store.open(tmp_path / "other", create=True)
     again = other.commit("evolve", IDENTITY, dict(reversed(FILES.items())), record={"seconds": 99})
     assert again.digest == committed.digest
@@ -61,18 +61,11 @@ def test_a_result_computed_twice_must_be_equal(store: Store) -> None:
     assert tree(store.root) == before
 
 
-def test_what_another_item_produced_is_noticed(store: Store) -> None:
-    """A file of another item, or its whole folder, manifest and all; both are intact in themselves."""
-    first, second = commit(store), {**IDENTITY, "version": 2}
-    other = store.commit("evolve", second, {**FILES, "history.parquet": b"ROWS" * 100}, record={})
-    place, origin = item(store), store.manifest_path("evolve", other.key).parent
-    shutil.copy(origin / "history.parquet", place)
-    with pytest.raises(DamagedArtifact, match=r"history\.parquet: expected SHA-256"):
-        store.read(first, "history.parquet")
-    (found,) = store.verify()
-    assert (found.stage, found.key) == ("evolve", KEY)
-    shutil.copytree(origin, place, dirs_exist_ok=True)
-    with pytest.raises(DamagedArtifact, match=f"expected evolve {KEY} .*, got evolve {other.key}"):
+def test_an_item_in_the_place_of_another_is_noticed(store: Store) -> None:
+    commit(store)
+    other = store.commit("evolve", {**IDENTITY, "version": 2}, FILES, record={})
+    shutil.copytree(store.manifest_path("evolve", other.key).parent, item(store), dirs_exist_ok=True)
+    with pytest.raises(DamagedArtifact, match=f"expected evolve {KEY}, got evolve {other.key}"):
         store.manifest("evolve", KEY)
     (found,) = store.verify()
     assert (found.stage, found.key) == ("evolve", KEY)

@@ -51,7 +51,7 @@ samples = st.builds(
 
 
 def through_parquet(columns):
-    return decode_table(encode_table(columns, schema="t", version=1, producer=""), schema="t", version=1, source="t")
+    return decode_table(encode_table(columns, schema="t", version=1), schema="t", version=1, source="t")
 
 
 @given(rows=st.lists(samples, max_size=5))
