@@ -5,7 +5,7 @@ record of its last stage yet. Nothing is removed while a study is driven, or whe
 because its record is unreadable, or because an item that it lists is gone and others are made from it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Annotated
 
 import typer
@@ -30,10 +30,20 @@ def gc(
     opened = options.open_store()
     with opened.lock_all():
         garbage = find_garbage(opened)
-        lines = list(garbage_lines(opened, garbage, removed=remove, command=f"{options.command('gc')} --remove"))
+        sizes = {item: opened.item_bytes(*item) for item in garbage}
         for item in garbage if remove else ():
             opened.discard(*item)
-    to_stdout(*lines)
+    names, freed = opened.studies(), f"{sum(sizes.values()) / 1e6:,.1f} MB"
+    to_stdout(f"{opened.root}: {len(names)} studies{': ' if names else ''}{', '.join(names)}")
+    for stage in sorted({stage for stage, _ in garbage}):
+        of_stage = [n_bytes for item, n_bytes in sizes.items() if item[0] == stage]
+        to_stdout(f"  {stage}: {len(of_stage):,} items that no study needs, {sum(of_stage) / 1e6:,.1f} MB")
+    if not garbage:
+        to_stdout("Everything in it is needed.")
+    elif remove:
+        to_stdout(f"Removed: {freed} are free again.")
+    else:
+        to_stdout(f"Nothing is removed yet. `{options.command('gc')} --remove` removes it and frees {freed}.")
 
 
 def find_garbage(store: Store) -> list[tuple[str, str]]:
@@ -69,26 +79,3 @@ def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
     yield from survey(settings, STAGES, store, say=damage.append).items
     if damage:
         raise PuddleError(damage[0])
-
-
-def garbage_lines(store: Store, garbage: Sequence[tuple[str, str]], *, removed: bool, command: str) -> Iterator[str]:
-    """List garbage and its size. Call this before the garbage is removed.
-
-    Args:
-        store: the store that holds it.
-        garbage: stage and key of items.
-        removed: whether it will be removed now.
-        command: the command line that removes it.
-    """
-    names, total = store.studies(), 0
-    yield f"{store.root}: {len(names)} studies{': ' if names else ''}{', '.join(names)}"
-    for stage in sorted({stage for stage, _ in garbage}):
-        sizes = [store.item_bytes(*item) for item in garbage if item[0] == stage]
-        total += sum(sizes)
-        yield f"  {stage}: {len(sizes):,} items that no study needs, {sum(sizes) / 1e6:,.1f} MB"
-    if not garbage:
-        yield "Everything in it is needed."
-    elif removed:
-        yield f"Removed: {total / 1e6:,.1f} MB are free again."
-    else:
-        yield f"Nothing is removed yet. `{command}` removes it and frees {total / 1e6:,.1f} MB."

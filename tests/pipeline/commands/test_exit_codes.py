@@ -1,5 +1,6 @@
-"""The exit codes of docs/reliability.md, seen from outside."""
+"""The exit codes of docs/reliability.md, seen from outside; the help and the version."""
 
+import importlib.metadata
 import os
 import subprocess
 import sys
@@ -8,7 +9,7 @@ from typing import IO
 
 import pytest
 import typer
-from command_line import refused
+from command_line import call, refused
 
 from pipeline.commands.app import PANELS, main
 from pipeline.commands.terminal import Commands
@@ -51,6 +52,12 @@ def test_a_terminal_that_is_not_utf_8_shows_what_it_can(encoding, tmp_path, monk
         ended = in_a_process("settings", "--preset", "smoke", stdout=shown)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert b"?/2" in (tmp_path / "shown").read_bytes()  # π/2
+
+
+def test_short_options_and_the_version(capsys):
+    shown = [call(option) or capsys.readouterr().out for option in ("-h", "--help", "--version")]
+    assert shown[0] == shown[1] and all(command in shown[0] for command in COMMANDS if " " not in command)
+    assert shown[2] == f"puddle {importlib.metadata.version('puddle')}\n"
 
 
 @pytest.mark.parametrize("command", COMMANDS)

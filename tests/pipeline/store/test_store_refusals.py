@@ -1,9 +1,11 @@
 """The store refuses what is damaged, foreign or hostile: bits, files, folders, names, links."""
 
+import subprocess
 from pathlib import Path
 
 import pytest
-from one_item import KEY, commit, item, tree
+from mounted import mounted
+from one_item import FILES, KEY, commit, item, tree
 
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.encoding import encode_document
@@ -98,6 +100,28 @@ def test_a_store_of_a_newer_puddle_or_a_damaged_one_is_refused(tmp_path: Path) -
     path.write_text('{"schema": "somebody.else", "version": 1}')
     with pytest.raises(PuddleError, match=r"got 'somebody\.else'"):
         Store.open(store.root, create=False)
+
+
+# -- a read-only disk ----------------------------------------------------------------------------------------------
+
+
+def test_a_read_only_disk_is_read(tmp_path: Path) -> None:
+    with mounted(tmp_path, "size=1m"):
+        store = Store.open(tmp_path / "store", create=True)
+        commit(store)
+        with store.lock_all():
+            pass
+        subprocess.run(["mount", "-o", "remount,ro", str(tmp_path)], check=True)
+        store = Store.open(tmp_path / "store", create=True)
+        assert store.read(store.manifest("evolve", KEY), "log") == b""
+        assert store.verify() == []
+        other = {"stage": "evolve", "other": True}
+        with pytest.raises(OSError, match="Read-only file system"):
+            store.commit("evolve", other, FILES, record={})
+        with pytest.raises(OSError, match="Read-only file system"), store.lock_study("laptop"):
+            raise AssertionError("locked a read-only disk")
+        with pytest.raises(OSError, match="Read-only file system"):
+            Store.open(tmp_path / "new", create=True)
 
 
 # -- names and links -------------------------------------------------------------------------------------------------
