@@ -211,11 +211,9 @@ class ExecutionOptions:
         n_workers = number_of_cores() if self.workers is None else self.workers
         check_limits(0 if self.address else n_workers)
 
-    def cluster(
-        self, on_ray: Callable[..., AbstractContextManager[Cluster]] = ray_cluster
-    ) -> Callable[[], AbstractContextManager[Cluster]]:
-        """Return the function that starts or joins the cluster."""
-        return serial_cluster if self.workers == 0 else lambda: on_ray(address=self.address, n_workers=self.workers)
+    def cluster(self) -> AbstractContextManager[Cluster]:
+        """Start or join the cluster."""
+        return serial_cluster() if self.workers == 0 else ray_cluster(self.address, self.workers)
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

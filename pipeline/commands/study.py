@@ -82,7 +82,7 @@ def _run_stages(
             wanted,
             stages=STAGES,
             store=store,
-            open_cluster=execution.cluster(),
+            open_cluster=execution.cluster,
             tracker=Tracker(store.root, execution.tracking_uri, say=show.say),
             progress=show,
             source=options.source,
