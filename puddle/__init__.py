@@ -96,6 +96,14 @@ def open_study(name: str, store: str | Path = "store") -> Study:
 
     A study is what was recorded. Where a different version of the code made it, a warning says so.
 
+    >>> study = puddle.open_study("laptop")
+    >>> study.champions().column_names[:5]
+    ['environment', 'depth', 'trial', 'predicted', 'zero_shot']
+    >>> histories = study.table("histories", environment="true_slush", depth=1.0, trial=0)
+    >>> best = study.champion("residual_slush", depth=1.0, trial=1)
+    >>> study.simulate(best, "true_slush").displacement.shape
+    (1,)
+
     Raises PuddleError if there is no such store or study (the message lists the studies there are), or if the study's
     record is damaged.
     """

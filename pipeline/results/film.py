@@ -24,6 +24,9 @@ def film(
 ) -> None:
     """Write a film of one design, after it has settled; in an ensemble that of the median member.
 
+    >>> design = puddle.random_designs(1, np.random.default_rng(seed=1))
+    >>> puddle.film(design, puddle.TrueSlush(depth=9.0), "robot.gif", n_measure=60)
+
     Args:
         design: a single design.
         environment: such as ``TrueSlush(depth=9.0)``, or a medium of your own or the name of one, which is 9 m deep.

@@ -34,9 +34,9 @@ def run_study(
     """Run a study as `puddle study` does, in a process of its own; show its progress, and return it.
 
     Interrupt the call to stop it; the same call resumes it. Where work items fail, the rest is done all the same, and
-    ``study.progress`` counts them. For example::
+    ``study.progress`` counts them.
 
-        puddle.run_study("smoke", name="deep", grid={"depths": [9.0]}, evolution={"n_generations": 20})
+    >>> study = puddle.run_study("smoke", name="deep", grid={"depths": [9.0]}, evolution={"n_generations": 20})
 
     Args:
         preset: name of a preset, or a settings file (.yaml).

@@ -37,12 +37,21 @@ def design_from(data: bytes, source: str) -> Designs:
 
 
 def load_design(path: str | Path) -> Designs:
-    """Read a design file, such as those of `puddle export`; raise PuddleError if it is none."""
+    """Read a design file, such as those of `puddle export`; raise PuddleError if it is none.
+
+    >>> puddle.save_design(puddle.random_designs(1, np.random.default_rng(seed=1)), "design.json")
+    >>> len(puddle.load_design("design.json"))
+    1
+    """
     return design_from(disk.read(Path(path)), str(path))
 
 
 def save_design(design: Designs, path: str | Path) -> None:
-    """Write one design to a file that every command takes; raise PuddleError if it is not one valid design."""
+    """Write one design to a file that every command takes; raise PuddleError if it is not one valid design.
+
+    >>> designs = puddle.random_designs(64, np.random.default_rng(seed=1))
+    >>> puddle.save_design(designs[puddle.simulate(designs, "true_slush").displacement.argmax()], "best.json")
+    """
     if len(design) != 1:
         raise PuddleError(f"{path}: expected one design, got {len(design)}: choose one, such as designs[0]")
     data = design_json(design)
@@ -55,6 +64,10 @@ def open_designs(path: str | Path) -> Designs:
 
     A Parquet file has a column for each gene, as ``study.table("histories")`` has, or the column ``design_json`` of the
     table of champions; further columns are ignored. A file that ends in .json is a design file.
+
+    >>> designs = puddle.open_designs("docs/champions.parquet")
+    >>> designs.length_scale.shape[1]  # links of each
+    6
 
     Raises:
         PuddleError: the file can't be read, holds no design, or a design is invalid; it names the row or column.

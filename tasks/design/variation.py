@@ -163,6 +163,10 @@ def random_designs(
 
     Unless the morphology gives the number of motors, each is on with probability 1/2.
 
+    >>> designs = puddle.random_designs(64, np.random.default_rng(seed=1))
+    >>> designs.length_scale.shape  # of six links each
+    (64, 6)
+
     Args:
         n_designs: number of designs.
         rng: source of randomness.
@@ -203,6 +207,11 @@ def mutate(
     flips. Rewiring gives one link another parent and keeps its other genes. If the number of motors is given, a motor's
     flag swaps with an opposite one instead: the motor moves to another joint.
 
+    >>> rng = np.random.default_rng(seed=1)
+    >>> parents = puddle.random_designs(16, rng)
+    >>> len(puddle.mutate(parents[np.repeat(np.arange(16), 4)], rng))  # four mutants of each
+    64
+
     Args:
         designs: n_designs parents within the morphology.
         rng: source of randomness.
@@ -227,6 +236,11 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
 
     If the number of motors is given, joints with a motor in both designs keep it. Then come joints whose link comes
     from the design in which the motor is on, then those with a motor in the other design; ties are random.
+
+    >>> rng = np.random.default_rng(seed=1)
+    >>> designs = puddle.random_designs(64, rng)
+    >>> len(puddle.crossover(designs[:32], designs[32:], rng))
+    32
 
     Args:
         one: n_designs designs within the morphology.

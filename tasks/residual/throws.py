@@ -215,6 +215,10 @@ def throw(
 ) -> Transitions:
     """Throw links into a medium as studies do, and record what the base simulator gets wrong in every step.
 
+    >>> throws = puddle.throw("true_slush", puddle.Throws(n_throws=20, n_steps=30))
+    >>> throws.residual.shape  # 20 · 30 steps; x, y, angle, vx, vy, omega
+    (600, 6)
+
     Args:
         environment: such as ``TrueSlush(depth=9.0)``, a medium of your own or the name of one. Throws meet no ground.
         throws: number, length and starts of throws; by default 3,400 for robots, of half a second each.

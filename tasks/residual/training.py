@@ -95,11 +95,14 @@ def learn(
 ) -> Ensemble:
     """Train an ensemble on throws as studies do, on one core.
 
-    For example, in half a minute::
+    ``puddle.learn(puddle.throw("true_slush"))`` takes half a minute. With few throws and iterations:
 
-        ensemble = puddle.learn(puddle.throw("true_slush"))
-        learned = puddle.ResidualSlush(depth=9.0, ensemble=ensemble)
-        puddle.simulate(designs, learned).displacement  # (n_members, n_designs) [m]
+    >>> throws = puddle.throw("true_slush", puddle.Throws(n_throws=20, n_steps=30))
+    >>> ensemble = puddle.learn(throws, n_members=2, training=puddle.Training(n_iterations=20, batch_size=64))
+    >>> learned = puddle.ResidualSlush(depth=9.0, ensemble=ensemble)
+    >>> designs = puddle.random_designs(8, np.random.default_rng(seed=1))
+    >>> puddle.simulate(designs, learned).displacement.shape  # of each member [m]
+    (2, 8)
 
     Args:
         throws: those of ``puddle.throw``, or your own: a table, such as a data frame, with a row per step of 1/60 s,

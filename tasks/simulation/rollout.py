@@ -62,6 +62,12 @@ def simulate(
 ) -> Rollouts:
     """Simulate designs, each alone in its own environment (in an ensemble, once for each member).
 
+    >>> designs = puddle.random_designs(64, np.random.default_rng(seed=1))
+    >>> puddle.simulate(designs, puddle.TrueSlush(depth=9.0)).displacement.shape  # [m]
+    (64,)
+    >>> puddle.simulate(designs[:1], "dry_land", n_measure=60, trace=True).trace.shape  # designs, steps, links, state
+    (1, 260, 6, 6)
+
     Args:
         designs: n_designs designs.
         environment: depth and medium, or a medium of your own or the name of one, which is 9 m deep.

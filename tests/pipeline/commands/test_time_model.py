@@ -82,4 +82,4 @@ def test_the_command_prints_a_table(tmp_path, capsys):
     assert call(*given) == 0
     out = capsys.readouterr().out
     assert "study paper: the rest of the work on 64 cores" in out
-    assert [line.split()[0] for line in out.splitlines()[2:9]] == [stage.name for stage in STAGES]
+    assert [line.split()[0] for line in out.splitlines()[2:10]] == [stage.name for stage in STAGES]

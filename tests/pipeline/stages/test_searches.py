@@ -35,7 +35,7 @@ OPERATORS = {
 }
 
 
-TO_TRANSFER = STAGES[:4]
+TO_TRANSFER = STAGES[:5]
 
 
 def recorded(settings: Settings, root: Path, stages: Sequence[AnyStage] = TO_TRANSFER) -> Study:

@@ -19,7 +19,7 @@ from pipeline.workflow.driver import drive
 from pipeline.workflow.stage import AnyStage, Results
 
 TO_EVOLVE = STAGES[:3]
-TO_TRANSFER = STAGES[:4]
+TO_TRANSFER = STAGES[:5]
 
 
 def run(
