@@ -10,7 +10,8 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from tasks.parameters import Parameters
-from tasks.residual.forms import FORMS, form_named
+from tasks.residual.forms import FORMS, Form, form_named
+from tasks.residual.forms.plain import PLAIN
 
 
 class Architecture(Parameters):
@@ -35,13 +36,18 @@ class Architecture(Parameters):
     @property
     def sizes(self) -> list[int]:
         """Numbers of inputs, of units in each hidden layer, and of outputs in training."""
-        form = form_named(self.form)
+        return self._sizes_in(form_named(self.form))
+
+    def _sizes_in(self, form: Form) -> list[int]:
         return [len(form.inputs), *[self.width] * self.hidden_layers, len(form.learned)]
 
     @property
     def n_weights(self) -> int:
-        """Weights of the matrices, without biases: the multiplications that one prediction takes."""
-        return sum(n_in * n_out for n_in, n_out in pairwise(self.sizes))
+        """Weights of the matrices, without biases: the multiplications that one prediction takes.
+
+        A form whose code is not here counts as the paper's.
+        """
+        return sum(n_in * n_out for n_in, n_out in pairwise(self._sizes_in(FORMS.get(self.form, PLAIN))))
 
 
 class Training(Parameters):

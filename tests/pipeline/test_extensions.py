@@ -12,7 +12,7 @@ import pytest
 from pipeline.extensions import VARIABLE
 
 ROOT = Path(__file__).parents[2]
-HONEY = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), flags=re.DOTALL)
+HONEY, FORM, *_ = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), flags=re.DOTALL)
 OBJECTIVE = """
 from tasks.evolution.objectives.evaluation import Objective, register_objective
 
@@ -23,8 +23,7 @@ register_objective(Objective("backwards", "Backwards", "m", lambda rollouts: -ro
 @pytest.fixture
 def run(tmp_path):
     """Run Python in a folder with a medium and an objective outside the sources."""
-    assert HONEY
-    (tmp_path / "molasses.py").write_text(HONEY[1].replace('"honey"', '"molasses"'))
+    (tmp_path / "molasses.py").write_text(HONEY.replace('"honey"', '"molasses"'))
     (tmp_path / "aims.py").write_text(OBJECTIVE)
 
     def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -47,6 +46,22 @@ def test_workers_throw_links_into_a_medium_of_a_file(run, tmp_path):
     (tmp_path / "aims.py").write_text(OBJECTIVE + "\nlimit = 1\n")
     again = run("-m", "pipeline", "status", "smoke", *given[:4], "--store", "store")
     assert "A different version of the code made items of collect" in again.stderr + again.stdout, digests
+
+
+def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path):
+    """They are trained and compiled as any; the study is readable without the file, which it names."""
+    (tmp_path / "link_axes.py").write_text(FORM)
+    small = ("training.n_iterations=50", "evolution.n_generations=2", "transfer.n_generations=1", "grid.depths=[9]")
+    changes = [part for one in ("network.form=link_axes", *small) for part in ("--set", one)]
+    options = ("--preset", "smoke", "--with", "link_axes.py", "--workers", "0", "--store", "store")
+    done = run("-m", "pipeline", "study", *options, *changes, "--tracking-uri", "http://127.0.0.1:1")
+    assert done.returncode == 0, done.stderr
+    read = "import puddle; study = puddle.open_study('smoke', 'store'); print(study.champions().num_rows)"
+    without = run("-c", read)
+    assert int(without.stdout) > 0 and "The code of link_axes is not here" in without.stderr
+    unknown = run("-m", "pipeline", "study", *options[:2], *changes[:2])
+    said = "network.form: expected any of plain, signed_angle, wetted, got 'link_axes'"
+    assert unknown.returncode == 2 and said in unknown.stderr
 
 
 def test_a_process_without_the_file_imports_its_text(run, tmp_path):

@@ -11,12 +11,14 @@ from tasks.residual.forms.form import Form, register_form
 
 
 @formula
-def _read(links: Any) -> tuple[Any, ...]:
+def read(links: Any) -> tuple[Any, ...]:
+    """Return the inputs of links."""
     return links.length_scale, links.y, links.cos, links.vx, links.vy, links.omega
 
 
 @formula
-def _act(outputs: Any, inputs: Any) -> tuple[Any, Any, Any]:  # noqa: ARG001
+def act(outputs: Any, inputs: Any) -> tuple[Any, Any, Any]:  # noqa: ARG001
+    """Return the changes of vx, vy and ω, which are the outputs."""
     return outputs[0], outputs[1], outputs[2]
 
 
@@ -24,9 +26,9 @@ PLAIN = register_form(
     Form(
         name="plain",
         inputs=("a", "y", "cos_angle", "vx", "vy", "omega"),  # [m, m, 1, m/s, m/s, rad/s]
-        read=_read,
+        read=read,
         beside=("x", "y", "angle"),
         outputs=("vx", "vy", "omega"),
-        act=_act,
+        act=act,
     )
 )

@@ -12,8 +12,9 @@ from tasks.residual.forms.plain import PLAIN
 
 
 @formula
-def _read(links: Any) -> tuple[Any, ...]:
+def read(links: Any) -> tuple[Any, ...]:
+    """Return the inputs of links."""
     return links.length_scale, links.y, links.cos, links.vx, links.vy, links.omega, links.sin
 
 
-register_form(replace(PLAIN, name="signed_angle", inputs=(*PLAIN.inputs, "sin_angle"), read=_read))
+register_form(replace(PLAIN, name="signed_angle", inputs=(*PLAIN.inputs, "sin_angle"), read=read))

@@ -35,7 +35,8 @@ _DRY = 1e-6  # A_s and J below which a link counts as dry in training
 
 
 @formula
-def _read(links: Any) -> tuple[Any, ...]:
+def read(links: Any) -> tuple[Any, ...]:
+    """Return the inputs of links."""
     a, cos, sin, vx, vy, omega = links.length_scale, links.cos, links.sin, links.vx, links.vy, links.omega
     area, second_moment = submerged_part(a, links.y, cos, sin)
     width = 1 / a
@@ -47,7 +48,8 @@ def _read(links: Any) -> tuple[Any, ...]:
 
 
 @formula
-def _act(outputs: Any, inputs: Any) -> tuple[Any, Any, Any]:
+def act(outputs: Any, inputs: Any) -> tuple[Any, Any, Any]:
+    """Return the changes of vx, vy and ω by outputs and inputs."""
     area, share, cos, sin = inputs[0], inputs[1], inputs[2], inputs[3]
     along, across, lift = area * outputs[0], area * outputs[1], area * outputs[3]
     return cos * across - sin * along, (sin * across + cos * along) + lift, share * outputs[2]
@@ -129,9 +131,9 @@ WETTED = register_form(
             *("submerged_area", "submerged_share", "cos_angle", "sin_angle", "along", "across", "omega", "y", "a"),
             *("speed", "abs_omega", "along_squared", "across_squared"),
         ),
-        read=_read,
+        read=read,
         outputs=("along", "across", "omega", "along"),
-        act=_act,
+        act=act,
         measured=_measured,
         targets=_targets,
         symmetries=(
