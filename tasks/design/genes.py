@@ -46,20 +46,6 @@ class Gene:
     of_root: bool  # whether the root has this gene too
     per_link: bool = True  # whether each link has one; otherwise the design has one
 
-    def __post_init__(self) -> None:
-        if not self.per_link and not self.of_root:
-            raise ValueError(f"gene {self.name}: per_link is False, expected of_root=True")
-
-    @property
-    def first_link(self) -> int:
-        """First link that has this gene."""
-        return 0 if self.of_root else 1
-
-    @property
-    def n_numbers(self) -> int:
-        """Numbers of a design that are this gene."""
-        return N_LINKS - self.first_link if self.per_link else 1
-
 
 GENES: tuple[Gene, ...] = (
     #    name                 part       kind        low     high         unit             of_root
@@ -73,8 +59,6 @@ GENES: tuple[Gene, ...] = (
     Gene("frequency", "control", "interval", 0.0, 0.3, "Hz", True, per_link=False),
 )
 """All genes except the tree (``parent``), which :func:`tasks.design.variation.mutate` rewires."""
-
-N_GENES = sum(gene.n_numbers for gene in GENES)  # numbers of a design without its tree: 37
 
 PER_DESIGN = tuple(gene.name for gene in GENES if not gene.per_link)  # fields with one number per design
 
@@ -192,7 +176,7 @@ class Designs(ArrayData):
 
     def to_vector(self) -> Float64:
         """Return (n_designs, N_REALS) numbers in [0, 1], for optimisers of real vectors; see :meth:`from_vector`."""
-        shown: Float64 = (self.table[:, REALS] + IS_PARENT / 2 - REAL_LOW) / REAL_SPAN
+        shown: Float64 = (self.table[:, REALS] + IS_PARENT[REALS] / 2 - LOW[REALS]) / REAL_SPAN
         return shown
 
     @staticmethod
@@ -216,10 +200,9 @@ class Designs(ArrayData):
             name, link = next(n for n, at in COLUMNS.items() if REALS[place] < at.stop), LINK_OF_COLUMN[REALS[place]]
             where = "" if name in PER_DESIGN else f" of link {link}"
             raise DesignError(f"vector: [{design}, {place}], {name}{where}, is {given[design, place]}, expected 0 to 1")
-        numbers = np.minimum(REAL_LOW + given * REAL_SPAN, REAL_HIGH)
-        numbers[:, IS_PARENT] = np.floor(numbers[:, IS_PARENT])
-        motors = np.isin(REALS, np.arange(N_COLUMNS)[COLUMNS["motor_on"]])
-        numbers[:, motors] = given[:, motors] >= 0.5
+        numbers = np.minimum(LOW[REALS] + given * REAL_SPAN, HIGH[REALS])
+        numbers[:, IS_PARENT[REALS]] = np.floor(numbers[:, IS_PARENT[REALS]])
+        numbers[:, IS_FLAG[REALS]] = given[:, IS_FLAG[REALS]] >= 0.5
         table = np.zeros((len(given), N_COLUMNS))
         table[:, PARENT_COLUMN] = ROOT_PARENT
         table[:, REALS] = numbers
@@ -265,41 +248,37 @@ def _converted(name: str, values: npt.ArrayLike, dtype: type[np.generic]) -> npt
 FIRST = np.array([COLUMNS[gene.name].start for gene in GENES])
 """(n_genes,) column of each gene's first number in a table of designs, including the root's."""
 END = np.array([COLUMNS[gene.name].stop for gene in GENES])  # (n_genes,) column after each gene's last number
-LOW = np.array([gene.low for gene in GENES])  # (n_genes,) lower bounds in the genes' units; HIGH are the upper bounds
-HIGH = np.array([gene.high for gene in GENES])
-OF_ROOT = np.array([gene.of_root for gene in GENES])  # (n_genes,) whether the root has the gene
-IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])  # (n_genes,) whether the gene is either 0 or 1
 
-_GENE_OF_COLUMN = [
-    next((gene for gene in GENES if gene.name == name), None)
-    for name, at in COLUMNS.items()
-    for _ in range(at.stop - at.start)
-]  # None for a parent
-REALS = np.array(
-    [at for at, gene in enumerate(_GENE_OF_COLUMN) if LINK_OF_COLUMN[at] >= (gene.first_link if gene else 2)]
+# What the columns of a table hold, each (N_COLUMNS,). A parent is a whole number: -1 of the root, else a link before.
+GENE_OF_COLUMN = [
+    next((g for g in GENES if g.name == name), None) for name in COLUMNS for _ in range(N_COLUMNS)[COLUMNS[name]]
+]
+IS_PARENT = np.array([gene is None for gene in GENE_OF_COLUMN])
+IS_FLAG, IS_ANGLE = (
+    np.array([gene is not None and gene.kind == kind for gene in GENE_OF_COLUMN]) for kind in ("flag", "angle")
 )
+IS_IGNORED = (LINK_OF_COLUMN == 0) & [gene is not None and not gene.of_root for gene in GENE_OF_COLUMN]
+LOW = np.array(
+    [gene.low if gene else min(link - 1, 0) for gene, link in zip(GENE_OF_COLUMN, LINK_OF_COLUMN, strict=True)]
+)
+HIGH = np.array([gene.high if gene else link - 1 for gene, link in zip(GENE_OF_COLUMN, LINK_OF_COLUMN, strict=True)])
+N_GENES = int((~IS_PARENT & ~IS_IGNORED).sum())  # numbers of a design without its tree: 37
+
+REALS = np.flatnonzero(~IS_IGNORED & (LOW < HIGH))
 """(N_REALS,) columns of the numbers that tell designs apart; the parent of link 1 is always the root."""
 N_REALS = len(REALS)  # 41
-_GENE_OF_REAL = [_GENE_OF_COLUMN[at] for at in REALS]
-IS_PARENT = np.array([gene is None for gene in _GENE_OF_REAL])
-REAL_LOW = np.array([gene.low if gene else 0.0 for gene in _GENE_OF_REAL])
-REAL_HIGH = np.where(IS_PARENT, LINK_OF_COLUMN[REALS] - 1, [gene.high if gene else 0.0 for gene in _GENE_OF_REAL])
-REAL_SPAN = REAL_HIGH + IS_PARENT - REAL_LOW  # link i has i possible parents
+REAL_SPAN = HIGH[REALS] + IS_PARENT[REALS] - LOW[REALS]  # link i has i possible parents
 
 
 def find_fault(table: DesignTable) -> tuple[int, int]:
-    """Return row and column of the first invalid number, trees first, then gene by gene; -1 and -1 if there is none."""
+    """Return row and column of the first invalid number; -1 and -1 if there is none."""
     for design in range(len(table)):
-        for link in range(N_LINKS):
-            parent = table[design, PARENT_COLUMN + link]
-            if parent != ROOT_PARENT if link == 0 else not (0 <= parent < link and parent == np.floor(parent)):
-                return design, PARENT_COLUMN + link
-    for gene in range(len(FIRST)):
-        for design in range(len(table)):
-            for column in range(FIRST[gene] if OF_ROOT[gene] else FIRST[gene] + 1, END[gene]):
-                value = table[design, column]
-                if not LOW[gene] <= value <= HIGH[gene] or (IS_FLAG[gene] and value != np.floor(value)):  # NaN too
-                    return design, column
+        for column in range(N_COLUMNS):
+            value, whole = table[design, column], IS_PARENT[column] or IS_FLAG[column]
+            if not IS_IGNORED[column] and (
+                not LOW[column] <= value <= HIGH[column] or (whole and value != np.floor(value))  # NaN too
+            ):
+                return design, column
     return -1, -1
 
 
@@ -316,10 +295,10 @@ def check(designs: Designs) -> None:
     if design < 0:
         return
     value, link = designs.table[design, column], LINK_OF_COLUMN[column]
-    if column in range(N_COLUMNS)[COLUMNS["parent"]]:
+    gene = GENE_OF_COLUMN[column]
+    if gene is None:
         expected = "-1 (it is the root)" if link == 0 else f"a link before it, 0 to {link - 1}"
         raise DesignError(f"design {design}: parent of link {link} is {value:g}, expected {expected}")
-    gene = next(gene for gene in GENES if column in range(N_COLUMNS)[COLUMNS[gene.name]])
     where = f" of link {link}" if gene.per_link else ""
     bounds = f"{gene.low:.6g} {'or' if gene.kind == 'flag' else 'to'} {gene.high:.6g} {gene.unit}".rstrip()
     raise DesignError(f"design {design}: {gene.name}{where} is {value}, expected {bounds}")

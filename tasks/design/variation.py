@@ -17,9 +17,20 @@ from pydantic import Field
 from tasks.arrays import Float64, Int64
 from tasks.compiled import compiled
 from tasks.design import variation_kernels
-from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
+from tasks.design.genes import (
+    GENE_OF_COLUMN,
+    GENES,
+    IS_IGNORED,
+    IS_PARENT,
+    N_COLUMNS,
+    N_GENES,
+    Designs,
+    DesignTable,
+    Gene,
+    GenePart,
+)
 from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, sample_allowed
-from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
+from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Variation
 from tasks.parameters import Parameters
 
 
@@ -60,11 +71,13 @@ def variation_of(
 
 @cache
 def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart, ...]) -> Variation:
+    part = ["body" if gene is None else _part_of(gene, n_actuated) for gene in GENE_OF_COLUMN]
+    varies = [of in parts for of in part]
     return Variation(
         body=Designs.from_table(np.zeros((0, N_COLUMNS))).table,
-        body_columns=_body_columns(n_actuated),
+        body_columns=np.flatnonzero([of == "body" for of in part]),
         n_actuated=ANY_NUMBER if n_actuated is None else n_actuated,
-        numbers=_numbers(parts, n_actuated),
+        columns=np.flatnonzero(varies & ~IS_PARENT & ~IS_IGNORED),
         change=mutation.genes_changed / N_GENES,
         step=mutation.step,
         rewiring=mutation.rewiring if "body" in parts else BODY_STAYS,
@@ -77,24 +90,6 @@ def _part_of(gene: Gene, n_actuated: int | None) -> GenePart:
     Motors are built in, and if passive joints are locked, another set of motors makes other rigid bodies.
     """
     return "body" if gene.name == MOTOR and n_actuated is not None else gene.part
-
-
-def _body_columns(n_actuated: int | None) -> Int64:
-    names = ["parent", *(gene.name for gene in GENES if _part_of(gene, n_actuated) == "body")]
-    return np.concatenate([np.arange(N_COLUMNS)[COLUMNS[name]] for name in names])
-
-
-def _numbers(parts: tuple[GenePart, ...], n_actuated: int | None) -> Numbers:
-    varying = [gene for gene in GENES if _part_of(gene, n_actuated) in parts]
-    of_all = [gene for gene in varying for _ in range(gene.n_numbers)]
-    return Numbers(
-        column=np.concatenate([np.arange(N_COLUMNS)[COLUMNS[gene.name]][-gene.n_numbers :] for gene in varying]),
-        low=np.array([gene.low for gene in of_all]),
-        high=np.array([gene.high for gene in of_all]),
-        is_angle=np.array([gene.kind == "angle" for gene in of_all]),
-        is_flag=np.array([gene.kind == "flag" for gene in of_all]),
-        is_motor=np.array([gene.name == MOTOR for gene in of_all]),
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,24 +24,13 @@ ANY_NUMBER = -1  # number of motors that are on: unconstrained
 BODY_STAYS = -1.0  # stands for a probability of rewiring if bodies must not change
 
 
-class Numbers(NamedTuple):
-    """Numbers in a table of designs that may vary; every field is (n_numbers,)."""
-
-    column: Int64
-    low: Float64  # lower bound in the gene's unit
-    high: Float64
-    is_angle: Bools
-    is_flag: Bools
-    is_motor: Bools
-
-
 class Variation(NamedTuple):
-    """Numbers that may vary, and the rates of variation."""
+    """What may vary, and the rates of variation."""
 
     body: DesignTable  # (1, N_COLUMNS) design whose body all designs get; (0, N_COLUMNS) if bodies vary
     body_columns: Int64  # columns of the body
     n_actuated: int  # number of motors that are on, or ANY_NUMBER
-    numbers: Numbers  # those that may change
+    columns: Int64  # columns that may change
     change: float  # probability that a number does
     step: float  # deviation of the Gaussian step, as a share of the gene's range
     rewiring: float  # probability that one link of a design gets another parent, or BODY_STAYS
@@ -57,12 +46,12 @@ def random_table(n_designs: int, rng: Generator, variation: Variation) -> Design
         for design in range(n_designs):
             for column in range(genes.FIRST[gene], genes.END[gene]):
                 drawn = rng.random()
-                if genes.IS_FLAG[gene]:
+                if genes.IS_IGNORED[column]:
+                    table[design, column] = 0.0  # designs that behave alike are equal
+                elif genes.IS_FLAG[column]:
                     table[design, column] = 1.0 if drawn < 0.5 else 0.0
                 else:
-                    table[design, column] = genes.LOW[gene] + (genes.HIGH[gene] - genes.LOW[gene]) * drawn
-            if not genes.OF_ROOT[gene]:
-                table[design, genes.FIRST[gene]] = 0.0  # designs that behave alike are equal
+                    table[design, column] = genes.LOW[column] + (genes.HIGH[column] - genes.LOW[column]) * drawn
     table[:, genes.PARENT_COLUMN] = genes.ROOT_PARENT
     for link in range(1, N_LINKS):
         for design in range(n_designs):
@@ -90,23 +79,23 @@ def _switch_on_highest(flags: Float64, score: Float64, n: int) -> None:
 
 def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> None:
     """Change at least one number of each design, and rewire some designs, in place."""
-    numbers = variation.numbers
-    n_designs, n_numbers, before = len(table), len(numbers.column), table.copy()
+    columns = variation.columns
+    n_designs, n_numbers, before = len(table), len(columns), table.copy()
     changes = rng.random((n_designs, n_numbers)) < variation.change
     is_same = np.ones(n_designs, dtype=np.bool_)
     while True:
         steps = rng.standard_normal((n_designs, n_numbers))
         if variation.n_actuated != ANY_NUMBER:
-            _move_motors(table, changes, rng, numbers)
+            _move_motors(table, changes, rng, columns)
         n_same = 0
         for design in range(n_designs):
             if not is_same[design]:
                 continue
             for number in range(n_numbers):
-                column = numbers.column[number]
+                column = columns[number]
                 if changes[design, number]:
                     old, step = table[design, column], steps[design, number]
-                    table[design, column] = _stepped(numbers, number, old, step * variation.step)
+                    table[design, column] = _stepped(column, old, step * variation.step)
                 is_same[design] &= table[design, column] == before[design, column]
             n_same += is_same[design]
         if n_same == 0:
@@ -121,26 +110,27 @@ def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> No
 
 
 @inline
-def _stepped(numbers: Numbers, number: int, old: float, by: float) -> float:
+def _stepped(column: int, old: float, by: float) -> float:
     """Move a number by a share of its gene's range, and return it to its bounds."""
-    low, high = float(numbers.low[number]), float(numbers.high[number])
-    if numbers.is_flag[number]:
+    low, high = float(genes.LOW[column]), float(genes.HIGH[column])
+    if genes.IS_FLAG[column]:
         return 1.0 - old
     moved = old + by * (high - low)
-    if numbers.is_angle[number]:
+    if genes.IS_ANGLE[column]:
         moved = low + (moved - low) % (high - low)
     # The remainder may round to the angle's end.
     return min(max(moved, low), high)
 
 
 @inline
-def _move_motors(table: DesignTable, changes: Bools, rng: Generator, numbers: Numbers) -> None:
+def _move_motors(table: DesignTable, changes: Bools, rng: Generator, columns: Int64) -> None:
     """Swap each motor that changes with a random motor in the opposite state, and clear its change."""
-    for number in range(len(numbers.column)):
-        if not numbers.is_motor[number]:
+    for number in range(len(columns)):
+        this = columns[number] - MOTORS
+        if not 0 <= this < N_JOINTS:
             continue
         for design in range(len(table)):
-            this, motors = numbers.column[number] - MOTORS, table[design, MOTORS : MOTORS + N_JOINTS]
+            motors = table[design, MOTORS : MOTORS + N_JOINTS]
             chosen, most = this, -1.0
             for other in range(N_JOINTS):
                 chance = rng.random()

@@ -13,17 +13,17 @@ from numpy.random import Generator
 from pydantic import Field
 
 from tasks.arrays import Float64, Int64
-from tasks.design import ANY_BODY, GENES, Designs, Morphology
-from tasks.design.genes import COLUMNS, N_COLUMNS, REALS, DesignTable
+from tasks.design import ANY_BODY, Designs, Morphology, genes
+from tasks.design.genes import REALS, DesignTable
 from tasks.design.morphology import sample_allowed
 from tasks.design.variation import MAX_RECOMBINATIONS, draw_random
 from tasks.evolution.objectives import Evaluation
 from tasks.evolution.search import Arrays, Children, Population, Search, register_search, without_parents
 from tasks.parameters import Parameters
 
-_KIND = {at: g.kind for g in GENES for at in range(N_COLUMNS)[COLUMNS[g.name]] if g.part == "control"}
-X = np.flatnonzero([_KIND.get(at, "flag") != "flag" for at in REALS])  # where a vector has x
-IS_ANGLE = np.array([_KIND[at] == "angle" for at in REALS[X]])
+_CONTROLLER = np.array([gene is not None and gene.part == "control" for gene in genes.GENE_OF_COLUMN])
+X = np.flatnonzero((_CONTROLLER & ~genes.IS_FLAG)[REALS])  # where a vector has x
+IS_ANGLE = genes.IS_ANGLE[REALS[X]]
 
 
 class CmaEs(Parameters):

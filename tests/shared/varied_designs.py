@@ -31,7 +31,7 @@ def numbers(designs: Designs) -> np.ndarray:
     """The 37 numbers of each design."""
     blocks = [getattr(designs, gene.name) for gene in GENES]
     blocks = [
-        block[:, gene.first_link :] if gene.per_link else block[:, None]
+        block[:, int(not gene.of_root) :] if gene.per_link else block[:, None]
         for gene, block in zip(GENES, blocks, strict=True)
     ]
     return np.concatenate(blocks, axis=1).astype(np.float64)

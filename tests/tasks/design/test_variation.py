@@ -53,7 +53,7 @@ def test_random_genes_are_uniform_motors_on_half_the_time_and_parents_any_link_b
     designs = random_designs(6000, np.random.default_rng(11))
     for gene in GENES:
         drawn = getattr(designs, gene.name)
-        drawn = drawn[:, gene.first_link :] if gene.per_link else drawn
+        drawn = drawn[:, int(not gene.of_root) :] if gene.per_link else drawn
         low, high = gene.low, gene.high
         if gene.kind != "flag":
             # The seed is fixed, so this passes or fails for good; a true uniform fails for one seed in a thousand.
