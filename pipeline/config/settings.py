@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationError, create_model, field_validator, model_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
+from pipeline.config.agreement import check
 from tasks.analysis.tank import Tank
 from tasks.bench.tracks.conventions import Tracks
 from tasks.design import Morphology
@@ -26,7 +27,7 @@ from tasks.evolution import (
 )
 from tasks.parameters import Parameters
 from tasks.residual import FORMS, LEARNERS, Architecture, Learner, LearnerSettings, Throws, Training, arm_kind, in_order
-from tasks.residual.learner import learner_of, stated
+from tasks.residual.learner import learner_of
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
@@ -244,116 +245,9 @@ class Settings(Parameters):
 
     @model_validator(mode="after")
     def _groups_agree(self) -> Self:
-        if isinstance(self, RecordedSettings):
-            return self  # they did when they were recorded
-        if self.physics.passive_joints == "locked" and self.evolution.morphology.n_actuated is None:
-            raise ValueError(
-                "physics.passive_joints is locked, so motors decide which links form one body: "
-                "expected evolution.morphology.n_actuated, the number of motors"
-            )
-        if self.replicates > self.grid.n_trials:
-            raise ValueError(
-                f"replicates is {self.replicates} and grid.n_trials is {self.grid.n_trials}, so some data sets would "
-                f"have no trial: expected at least as many trials as replicates"
-            )
-        for name, kind in ENVIRONMENTS.items():
-            group = kind.settings_group or ""
-            is_given = kind.settings is not None and kind.has_one_medium and getattr(self, group) != kind.settings()
-            if is_given and name not in (self.target, *self.grid.environments):
-                raise ValueError(
-                    f"{group} is given, but neither target nor grid.environments has {name}, whose medium it is: "
-                    f"expected one of them to have it, got target {self.target}"
-                )
-        self._check_objective()
-        self._check_learners()
-        self._check_tracks()
-        if self.tank is not None and self.rollout.n_settle < 1:
-            raise ValueError(
-                "rollout.n_settle is 0, but a robot in the tank is measured from where it settles: "
-                "expected at least 1, or tank to be null"
-            )
+        if not isinstance(self, RecordedSettings):  # whose groups agreed when they were recorded
+            check(self)
         return self
-
-    def _check_tracks(self) -> None:
-        """Refuse tracks without a file, a file that is not used, and more data sets than there are."""
-        from_tracks = self.throws.source == "tracks"
-        if from_tracks != (self.tracks is not None):
-            raise ValueError(
-                f"throws.source is {self.throws.source} and tracks {'is null' if from_tracks else 'names a file'}: "
-                f"expected both, `puddle collect --tracks FILE` sets them, or neither"
-            )
-        for name in self.learners:
-            if not (learner := self.learner(name)) or learner.throws.source != "tracks":
-                continue
-            if not from_tracks:
-                raise ValueError(f"learners.{name}.throws.source is tracks, but throws.source is not: expected both")
-            if others := sorted(stated(self.learners[name].throws).keys() - {"source"}):
-                raise ValueError(
-                    f"learners.{name}.throws states {', '.join(others)}, but its throws are the tracked ones of the "
-                    f"file: expected source simulation beside it, or nothing"
-                )
-        if from_tracks and self.replicates > 1:
-            raise ValueError(
-                f"replicates is {self.replicates} and throws.source is tracks, but there is one set of tracked throws: "
-                f"expected 1"
-            )
-
-    def _check_learners(self) -> None:
-        """Refuse learners that contradict the study's groups, and names of what does not exist."""
-        ensembles = [name for name, one in self.learners.items() if not (one.single or one.mean)]
-        for name, given in self.learners.items():
-            if name in ENVIRONMENTS:
-                raise ValueError(f"learners.{name}: the name is taken: expected one of its own, got {name!r}")
-            others = [one for one, value in given if one not in ("single", "mean") and one in given.model_fields_set]
-            for use, source in (("single", given.single), ("mean", given.mean)):
-                if source is not None and (others or source not in ensembles):
-                    beside = f" beside {', '.join(others)}" if others else ""
-                    raise ValueError(
-                        f"learners.{name}.{use} is {source!r}{beside}: expected a learner with an ensemble, one of "
-                        f"{', '.join(ensembles)}, and nothing beside it"
-                    )
-            try:
-                self.learner(name)
-            except ValidationError as error:
-                said = error.errors()[0]["msg"].removeprefix("Value error, ")
-                raise ValueError(f"learners.{name}, with the study's groups: {said}") from None
-        known = (*ENVIRONMENTS, *self.learners)
-        media = [name for name, kind in ENVIRONMENTS.items() if kind.has_one_medium]
-        simulated = {name: one for name, one in self.arm_learners.items() if one.throws.source != "tracks"}
-        if not simulated:  # else links are thrown into the target, which is no network's
-            media += [name for name, one in self.learners.items() if one.mean]
-        for place, names, allowed in (
-            ("target", (self.target,), media),
-            ("grid.environments", self.grid.environments, known),
-            ("transfer.adapted_environments", self.transfer.adapted_environments or (), known),
-            ("evolution.objective", (self.evolution.objective,), tuple(OBJECTIVES)),
-            ("evolution.search", (self.evolution.search,), tuple(SEARCHES)),
-            ("network.form", (self.network.form,), tuple(FORMS)),
-            *(
-                (f"learners.{name}.network.form", (one.network.form,), tuple(FORMS))
-                for name, one in self.learners.items()
-            ),
-        ):
-            for name in names:
-                if name not in allowed:
-                    one_medium = "an environment of one medium, " if allowed is media else ""
-                    raise ValueError(f"{place}: expected {one_medium}any of {', '.join(allowed)}, got {name!r}")
-        for form in sorted({learner.network.form for learner in simulated.values()}):
-            if self.target_medium and (why := FORMS[form].objection(self.target_medium, self.physics)):
-                own = ", ".join(name for name, learner in simulated.items() if learner.network.form == form)
-                raise ValueError(f"network.form is {form} for {own}, but {self.target_label} {why}")
-
-    def _check_objective(self) -> None:
-        """Refuse an objective without its data."""
-        objective, n_motors = self.evolution.objective, self.evolution.morphology.n_actuated
-        if self.evolution.maximised.over_depths and len(self.objective_depths) < 2:
-            raise ValueError(
-                f"evolution.objective is {objective}, but evolution.objective_depths, or grid.depths where they are "
-                f"null, has {len(self.objective_depths)} depth: expected at least 2"
-            )
-        if self.evolution.maximised.motor_work and (self.physics.max_motor_torque == 0 or n_motors == 0):
-            which = "evolution.morphology.n_actuated" if n_motors == 0 else "physics.max_motor_torque"
-            raise ValueError(f"evolution.objective is {objective}, but {which} is 0: expected motors that do work")
 
     @property
     def objective_depths(self) -> tuple[float, ...]:

@@ -32,7 +32,7 @@ def recorded_code(stage: AnyStage) -> dict[str, str]:
 
 
 def is_of_other_code(manifest: Manifest, stage: AnyStage) -> bool:
-    """Return whether a module that made an item has changed since. Items of earlier versions do not say."""
+    """Return whether a module that made an item has changed since."""
     made = set(manifest.record.get("code", {}).get("modules", "").split())
     today = set(recorded_code(stage)["modules"].split())
     return not (made <= today or today <= made)  # a module that is gone, such as a medium's, changes no other
