@@ -79,7 +79,7 @@ def pictures(replays: Sequence[Replay], *, every: int = 1) -> Iterator[Image.Ima
     if not replays:
         raise ValueError("film: expected at least one replay, got none")
     times = np.arange(0.0, max(replay.duration for replay in replays) + 1e-9, 1 / FILM_FPS)
-    poses = [np.stack([replay.at(time) for time in times]) for replay in replays]
+    poses = [replay.at(times) for replay in replays]
     extents = [_vertical_extent(replay, pose) for replay, pose in zip(replays, poses, strict=True)]
     height = float(np.clip(max(high - low for low, high in extents), *_VIEW_HEIGHT))
     figure = Figure(figsize=(PICTURE_WIDTH / _DPI, LANE_HEIGHT * len(replays) / _DPI), dpi=_DPI, facecolor="white")

@@ -8,15 +8,15 @@ import json
 import re
 import textwrap
 import unicodedata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
-from html import escape
+from functools import cached_property, partial
 from itertools import zip_longest
 from typing import Any
 
 from markupsafe import Markup
 
+from pipeline.report.document import TEMPLATES
 from pipeline.store.tables import columns_of, csv_of, described, text
 from tasks.analysis.columns import environment_name, scored_by
 from tasks.analysis.comparison import VERDICTS
@@ -48,35 +48,35 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Written:
-    """A table of text: headings, cells by row, and which columns hold numbers."""
+class WrittenColumn:
+    """A column of text."""
 
-    names: list[str]
-    headings: list[str]
-    meanings: list[str]
-    rows: list[list[Cell]]
+    name: str  # of the field
+    heading: str
+    meaning: str
+    cells: list[Cell]
 
-    def is_number(self, column: int) -> bool:
-        """Return whether a column holds numbers, which are aligned to the right."""
-        return all(re.match(r"[−+<±\d–]", row[column].main) for row in self.rows)
+    @cached_property
+    def is_number(self) -> bool:
+        """Whether it holds numbers, which are aligned to the right."""
+        return all(re.match(r"[−+<±\d–]", cell.main) for cell in self.cells)
 
 
 def written(
     kind: type, rows: Sequence[Any], without: Sequence[str] = (), learners: Mapping[str, Learner] = NO_LEARNERS
-) -> Written:
+) -> list[WrittenColumn]:
     """Write the columns that readers of a study with these learners see, without some that are said elsewhere."""
-    shown = [one for one in fields(kind) if one.metadata["shown"] and one.name not in without]
-    shown = [one for one in shown if not all(_is_absent(getattr(row, one.name)) for row in rows)]
-    units = [one.metadata["unit"] for one in shown]
-    forms = [one.metadata["form"] for one in shown]
-    forms = [partial(form, learners=learners) if form in (environment_name, ensemble_name) else form for form in forms]
-    labels = [one.metadata["label"] for one in shown]
-    return Written(
-        [one.name for one in shown],
-        [f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)],
-        [one.metadata["meaning"] for one in shown],
-        [[_cell(getattr(row, one.name), form) for one, form in zip(shown, forms, strict=True)] for row in rows],
-    )
+    columns = []
+    for field in fields(kind):
+        about, values = field.metadata, [getattr(row, field.name) for row in rows]
+        if about["shown"] and field.name not in without and not all(map(_is_absent, values)):
+            form, heading = about["form"], f"{about['label']} [{about['unit']}]" if about["unit"] else about["label"]
+            if form in (environment_name, ensemble_name):
+                form = partial(form, learners=learners)
+            columns.append(
+                WrittenColumn(field.name, heading, about["meaning"], [_cell(value, form) for value in values])
+            )
+    return columns
 
 
 def _is_absent(value: Any) -> bool:
@@ -126,29 +126,14 @@ def as_html(
         without: fields that are said elsewhere.
         learners: those of the study, by which arms are called.
     """
-    table = written(kind, rows, without, learners)
-    numbers = [table.is_number(column) for column in range(len(table.names))]
-    head = "".join(
-        f'<th{"" if number else " class=words"} title="{escape(meaning)}">{escape(heading)}</th>'
-        for heading, meaning, number in zip(table.headings, table.meanings, numbers, strict=True)
-    )
-    body = ""
-    for row, cells in zip(rows, table.rows, strict=True):
-        body += "<tr>"
-        for name, heading, cell, number in zip(table.names, table.headings, cells, numbers, strict=True):
-            main = escape(cell.main)
-            if name == "environment":
-                color = f"var(--arm-{escape(row.environment)}, var(--unknown))"
-                main = f'<span class="swatch" style="background: {color}"></span>{main}'
-                main = f'<a href="#{escape(to)}">{main}</a>' if (to := address(row)) else main
-            kinds = "number" if number else "words"
-            kinds += f" verdict {getattr(row, name).replace(' ', '-')}" if name == "verdict" else ""
-            below = f"<small>{escape(cell.below)}</small>" if cell.below else ""
-            body += f'<td class="{kinds}" data-column="{escape(heading)}">{main}{below}</td>'
-        body += "</tr>"
-    cards = ' class="cards"' if "verdict" in table.names else ""
-    content = f"<table{cards}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    return Markup(f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">{content}</div>')
+    columns = written(kind, rows, without, learners)
+    table = [(row, zip(columns, cells, strict=True)) for row, cells in zip(rows, _by_row(columns), strict=True)]
+    template = TEMPLATES.get_template("table.html")
+    return Markup(template.render(columns=columns, rows=table, label=label, address=address))
+
+
+def _by_row(columns: Sequence[WrittenColumn]) -> Iterator[tuple[Cell, ...]]:
+    return zip(*(column.cells for column in columns), strict=True)
 
 
 def as_text(
@@ -160,48 +145,44 @@ def as_text(
     learners: Mapping[str, Learner] = NO_LEARNERS,
 ) -> list[str]:
     """Return lines for a terminal of a width [characters], with words wrapped and numbers aligned to the right."""
-    table = written(kind, rows, without, learners)
+    columns = written(kind, rows, without, learners)
     for most in _MOST_CHARACTERS:
-        columns = [_laid_out(table, column, most) for column in range(len(table.names))]
-        if sum(len(column[0][0]) + 2 for column in columns) <= width + 2:
+        laid_out = [_laid_out(column, most) for column in columns]
+        widths = [len(cells[0][0]) for cells in laid_out]
+        if sum(widths) + 2 * (len(widths) - 1) <= width:
             break
-    lines = []
-    for cells in zip(*columns, strict=True):
-        for parts in zip_longest(*cells):
-            blank = (" " * len(column[0][0]) for column in columns)
-            lines.append("  ".join(part or space for part, space in zip(parts, blank, strict=True)).rstrip())
-    return lines
+    lines = (parts for cells in zip(*laid_out, strict=True) for parts in zip_longest(*cells, fillvalue=""))
+    return ["  ".join(map(str.ljust, parts, widths)).rstrip() for parts in lines]
 
 
-def _laid_out(table: Written, column: int, most: int) -> list[list[str]]:
-    """Return the lines of each cell of a column."""
-    heading, texts = table.headings[column], [row[column].text.replace("\u00a0", " ") for row in table.rows]
-    number, longest = table.is_number(column), max(map(len, texts), default=0)
-    width = max(longest if number else min(longest, most), *map(len, heading.split()))
-    laid = [textwrap.wrap(text, width, break_on_hyphens=False) for text in (heading, *texts)]
-    return [[f"{line:>{width}}" if number else f"{line:<{width}}" for line in cell] for cell in laid]
+def _laid_out(column: WrittenColumn, most: int) -> list[list[str]]:
+    """Return the lines of a heading and each cell, of equal width."""
+    texts = [cell.text.replace("\u00a0", " ") for cell in column.cells]
+    longest = max(map(len, texts), default=0)
+    width = max(longest if column.is_number else min(longest, most), *map(len, column.heading.split()))
+    align = str.rjust if column.is_number else str.ljust
+    wrapped = [textwrap.wrap(text, width, break_on_hyphens=False) for text in (column.heading, *texts)]
+    return [[align(line, width) for line in lines] for lines in wrapped]
 
 
 def as_markdown(kind: type, rows: Sequence[Any]) -> str:
     """Return a table in Markdown."""
-    table = written(kind, rows)
-    rules = ["--:" if table.is_number(column) else "---" for column in range(len(table.names))]
-    lines = [table.headings, rules, *([cell.text for cell in row] for row in table.rows)]
+    columns = written(kind, rows)
+    rules = ["--:" if column.is_number else "---" for column in columns]
+    cells = [[cell.text for cell in row] for row in _by_row(columns)]
+    lines = [[column.heading for column in columns], rules, *cells]
     return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
 
 
 def as_latex(kind: type, rows: Sequence[Any], caption: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> str:
     """Return a ``tabular``, which a paper reads with the command input; it needs the package booktabs."""
-    table = written(kind, rows, learners=learners)
-    aligned = "".join("r" if table.is_number(column) else "l" for column in range(len(table.names)))
-    lines = [_latex_row(table.headings), "\\midrule", *(_latex_row([cell.text for cell in row]) for row in table.rows)]
-    meanings = [f"% {name}: {meaning}" for name, meaning in zip(table.headings, table.meanings, strict=True) if meaning]
-    head, foot = f"\\begin{{tabular}}{{{aligned}}}\n\\toprule", "\\bottomrule\n\\end{tabular}\n"
-    return "\n".join([f"% {caption}", *meanings, head, *lines, foot])
-
-
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(map(_latex, cells)) + r" \\"
+    columns = written(kind, rows, learners=learners)
+    aligned = "".join("r" if column.is_number else "l" for column in columns)
+    lines = [[column.heading for column in columns], *([cell.text for cell in row] for row in _by_row(columns))]
+    head, *body = (" & ".join(map(_latex, line)) + r" \\" for line in lines)
+    meanings = [f"% {column.heading}: {column.meaning}" for column in columns if column.meaning]
+    begin, end = [rf"\begin{{tabular}}{{{aligned}}}", r"\toprule"], [r"\bottomrule", r"\end{tabular}", ""]
+    return "\n".join([f"% {caption}", *meanings, *begin, head, r"\midrule", *body, *end])
 
 
 _LATEX = {character: f"\\{character}" for character in "&%$#_{}"}

@@ -69,13 +69,13 @@ class Replay:
         """Time from the first frame to the last [s]."""
         return (len(self.frames) - 1) / self.fps
 
-    def at(self, time: float) -> Float64:
-        """Interpolate the poses between frames at a time [s]; (n_links, 3) x, y, angle."""
-        place = min(max(time * self.fps, 0.0), len(self.frames) - 1)
-        before = min(int(place), len(self.frames) - 2)
-        share = place - before
-        pose: Float64 = (1 - share) * self.frames[before] + share * self.frames[before + 1]
-        return pose
+    def at(self, times: Float64) -> Float64:
+        """Interpolate the poses between frames at (n_times,) times [s]; (n_times, n_links, 3) x, y, angle."""
+        place = np.clip(times * self.fps, 0.0, len(self.frames) - 1)
+        before = np.minimum(place.astype(int), len(self.frames) - 2)
+        share = (place - before)[:, None, None]
+        poses: Float64 = (1 - share) * self.frames[before] + share * self.frames[before + 1]
+        return poses
 
 
 def link_corners(pose: Float64, length: Float64) -> Float64:
@@ -123,62 +123,34 @@ def replay_of(
 def encode(replay: Replay) -> dict[str, Any]:
     """Convert a replay to plain JSON values for robot.js; equal replays give equal values.
 
-    Coordinates are rounded to a quantum before their differences are taken. Errors therefore do not add up, and each
-    stays within half a quantum: 1 mm and 1 mrad, unless a velocity changes by more than 32 m or rad per frame. Second
-    differences are small numbers, which mostly take a byte: about 25 characters per frame.
+    Coordinates are int16 multiples of a quantum: 1 mm and 1 mrad, or more if the robot gets farther than 32 m.
     """
-    frames = replay.frames
-    quantum = max(QUANTUM, float(np.abs(_second_differences(frames)).max()) / (np.iinfo(np.int16).max - 4))
-    quanta = np.rint(frames / quantum).astype(np.int64)
+    quantum = max(QUANTUM, float(np.abs(replay.frames).max()) / np.iinfo(np.int16).max)
     return {
-        "title": replay.title,
-        "robot": replay.robot,
-        "environment": replay.environment,
-        "command": replay.command,
-        "seenIn": replay.seen_in,
-        "depth": replay.depth,
-        "hasMedium": replay.has_medium,
-        "hallucinated": replay.hallucinated,
-        "fps": replay.fps,
-        "lengthScale": [round(float(length), 4) for length in replay.length_scale],
-        "parent": [int(parent) for parent in replay.parent],
-        "parentAttachment": [round(float(place), 4) for place in replay.parent_attachment],
+        **{name: getattr(replay, name) for name in _ENCODED},
+        "length_scale": [round(float(length), 4) for length in replay.length_scale],
+        "parent": replay.parent.tolist(),
+        "parent_attachment": [round(float(place), 4) for place in replay.parent_attachment],
         "quantum": quantum,
-        "first": [int(value) for value in quanta[0].ravel()],  # n_links × (x, y, angle), in quanta
-        # (n_frames - 1, n_links, 3): change of the change from frame to frame, in quanta; see _packed.
-        "steps": base64.b64encode(_packed(_second_differences(quanta).ravel())).decode("ascii"),
+        "frames": _base64(np.rint(replay.frames / quantum).astype("<i2")),  # (n_frames, n_links, 3), in quanta
         "disagreement": None if replay.disagreement is None else _encode_disagreement(replay.disagreement),
     }
 
 
-def _second_differences(frames: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return how (n_frames, ...) change, and how that changes: the inverse of two running sums."""
-    change = np.diff(frames, axis=0)
-    return np.diff(change, axis=0, prepend=np.zeros_like(change[:1]))
-
-
-_ESCAPE = -128  # byte before a value that takes two bytes
-
-
-def _packed(values: Int64) -> bytes:
-    """Write each value as one signed byte or, beyond ±127, as an escape and a little-endian int16."""
-    is_short = np.abs(values) < -_ESCAPE
-    start = np.concatenate([[0], np.cumsum(np.where(is_short, 1, 3))])
-    packed = np.zeros(int(start[-1]), np.uint8)
-    packed[start[:-1]] = np.where(is_short, values, _ESCAPE).astype(np.int8).view(np.uint8)
-    long = values[~is_short].astype("<i2").view(np.uint8).reshape(-1, 2)
-    for byte in (0, 1):
-        packed[start[:-1][~is_short] + 1 + byte] = long[:, byte]
-    return packed.tobytes()
+_ENCODED = ("title", "robot", "environment", "command", "seen_in", "depth", "has_medium", "hallucinated", "fps")
 
 
 def _encode_disagreement(values: Float64) -> dict[str, Any]:
-    known = np.isfinite(values)
+    known = values[np.isfinite(values)]
     # The 95th percentile, so that peaks do not make the rest pale.
-    most = max(float(np.quantile(values[known], 0.95)) if known.any() else 0.0, 1e-9)
-    levels = np.rint(np.clip(np.where(known, values, 0.0) / most, 0, 1) * 254)
+    most = max(float(np.quantile(known, 0.95)) if len(known) else 0.0, 1e-9)
+    levels = np.nan_to_num(np.rint(np.clip(values / most, 0, 1) * 254), nan=255)
     return {
         "most": float(f"{most:.4g}"),  # value of level 254 [m/s²]
         # uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value.
-        "levels": base64.b64encode(np.where(known, levels, 255).astype(np.uint8).tobytes()).decode("ascii"),
+        "levels": _base64(levels.astype(np.uint8)),
     }
+
+
+def _base64(array: npt.NDArray[Any]) -> str:
+    return base64.b64encode(array.tobytes()).decode("ascii")

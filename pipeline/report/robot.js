@@ -7,22 +7,10 @@ const robots = (() => {
     return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
   }
 
-  const ESCAPE = -128; // byte before a value that takes two bytes
-
   // Undo pipeline/report/replay.py's encode(): poses[frame * 3 * nLinks + 3 * link + (0 x, 1 y, 2 angle)].
   function decode(encoded) {
-    const view = new DataView(bytesOf(encoded.steps).buffer);
-    const width = encoded.first.length;
-    const quanta = encoded.first.slice(), changes = quanta.map(() => 0);
-    const poses = quanta.map((value) => value * encoded.quantum);
-    for (let at = 0, i = 0; at < view.byteLength; i = (i + 1) % width) {
-      let value = view.getInt8(at++);
-      if (value === ESCAPE) { value = view.getInt16(at, true); at += 2; }
-      changes[i] += value;
-      quanta[i] += changes[i];
-      poses.push(quanta[i] * encoded.quantum);
-    }
-    const replay = { ...encoded, poses, nLinks: width / 3, nFrames: poses.length / width };
+    const poses = Array.from(new Int16Array(bytesOf(encoded.frames).buffer), (value) => value * encoded.quantum);
+    const nLinks = encoded.parent.length, replay = { ...encoded, poses, nLinks, nFrames: poses.length / nLinks / 3 };
     replay.duration = (replay.nFrames - 1) / replay.fps;
     replay.start = poses[0];
     replay.centers = centersOfMass(replay);
@@ -55,11 +43,11 @@ const robots = (() => {
   function verticalExtent(replay) {
     let low = Infinity, high = -Infinity;
     for (let i = 0; i < replay.poses.length; i += 3) {
-      const reach = Math.abs(Math.cos(replay.poses[i + 2])) * replay.lengthScale[(i / 3) % replay.nLinks] / 2;
+      const reach = Math.abs(Math.cos(replay.poses[i + 2])) * replay.length_scale[(i / 3) % replay.nLinks] / 2;
       low = Math.min(low, replay.poses[i + 1] - reach);
       high = Math.max(high, replay.poses[i + 1] + reach);
     }
-    if (replay.hasMedium) { low = Math.min(low, -1); high = Math.max(high, 0.5); }
+    if (replay.has_medium) { low = Math.min(low, -1); high = Math.max(high, 0.5); }
     if (low < -replay.depth + 2) low = Math.min(low, -replay.depth - 0.3);
     return [low - 0.5, high + 0.5];
   }
@@ -118,14 +106,14 @@ const robots = (() => {
     context.clip();
     context.fillStyle = color("sky");
     context.fillRect(0, 0, box.width, box.height);
-    if (replay.hasMedium) {
+    if (replay.has_medium) {
       context.fillStyle = color("slush");
       context.fillRect(0, surface, box.width, Math.max(box.height - surface, 0));
     }
     drawDistances(context, replay, camera, box);
     const shares = options.colored ? sharesAt(replay, frame, options.most) : null;
     drawRobot(context, replay, links, camera, shares);
-    if (replay.hasMedium && surface < box.height) {
+    if (replay.has_medium && surface < box.height) {
       context.globalAlpha = shares ? 0.12 : 0.45; // colours with a meaning are not dimmed
       context.fillStyle = color("slush");
       context.fillRect(0, surface, box.width, box.height - surface);
@@ -187,7 +175,7 @@ const robots = (() => {
     const fill = color(replay.environment ? `arm-${replay.environment}` : "unknown");
     for (let link = replay.nLinks - 1; link >= 0; link--) {
       const [x, y, angle] = links[link];
-      const height = replay.lengthScale[link] * camera.scale, width = camera.scale / replay.lengthScale[link];
+      const height = replay.length_scale[link] * camera.scale, width = camera.scale / replay.length_scale[link];
       context.save();
       context.translate(camera.x(x), camera.y(y));
       context.rotate(-angle);
@@ -203,7 +191,7 @@ const robots = (() => {
     }
     for (let link = 1; link < replay.nLinks; link++) {
       const parent = replay.parent[link], [x, y, angle] = links[parent];
-      const along = replay.parentAttachment[link] * replay.lengthScale[parent] / 2;
+      const along = replay.parent_attachment[link] * replay.length_scale[parent] / 2;
       dot(context, camera.x(x - Math.sin(angle) * along), camera.y(y + Math.cos(angle) * along), 3, "#ffffff", "rgba(0, 0, 0, 0.7)");
     }
     dot(context, camera.x(links[0][0]), camera.y(links[0][1]), 4.5, "#1d2129", "#ffffff");
@@ -264,7 +252,7 @@ const robots = (() => {
     context.textAlign = "left";
     context.font = "13px system-ui, sans-serif";
     const room = box.width - 96; // beside the displacement; longer text is condensed
-    context.fillText("in " + replay.seenIn + ", " + replay.depth + " m", 12, 10, room);
+    context.fillText("in " + replay.seen_in + ", " + replay.depth + " m", 12, 10, room);
     context.fillStyle = color("soft");
     context.fillText(replay.title, 12, 28, room);
     context.fillStyle = color("ink");

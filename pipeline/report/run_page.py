@@ -4,7 +4,7 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from pipeline.report.document import TEMPLATES, document, inline_svg
+from pipeline.report.document import TEMPLATES, document
 from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, finish
 from pipeline.report.palette import LOOKS
 from pipeline.report.render import as_html, typeset
@@ -22,7 +22,6 @@ def render_run(comparison: RunComparison, run: str) -> str:
         drawing=finish("path", "Path of the root", partial(_path, comparison)),
         table=as_html(RunRow, comparison.rows(), "The run beside its simulation"),
         seconds=comparison.measured.time[-1],
-        svg=inline_svg,
     )
     return document(title=f"Run of {comparison.robot.name}", policy="img-src data:", body=body)
 

@@ -1,8 +1,5 @@
 """Figures of champions and their evolution: paper, Fig. 4, and fitness by generation."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
@@ -10,7 +7,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.config.settings import EvolutionSettings
 from pipeline.report.drawing import (
     FAINT,
     FIGURE_WIDTH,
@@ -22,11 +18,7 @@ from pipeline.report.drawing import (
     sampled,
     show_at_least,
 )
-from pipeline.report.palette import Look
-from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables.elites import Elite
-from tasks.analysis.tables.transfer import TransferRow
-from tasks.arrays import Float64
+from pipeline.report.study_page import StudyPage, page_figure
 from tasks.evolution.map_elites import MEASURES, MapElites
 
 _CURVE_POINTS = 120  # generations drawn per fitness curve
@@ -35,147 +27,162 @@ _MOST_DEPTHS = 4  # panels of fitness curves, and depths that fit into a panel o
 _TRANSFERS = {"zero_shot": "zero-shot", "adapted": "controller adapted"}
 
 
-def transfer_at_depth(
-    rows: Sequence[TransferRow], scores: Sequence[ScoredTrial], looks: Mapping[str, Look], label: str
-) -> Figure:
+@page_figure(
+    "Transfer at the greatest depth",
+    section="top",
+    caption="{score} in {target}, zero-shot and with controllers adapted to it: means over trials ± 1 SD, and single "
+    "trials as points.",
+)
+def transfer_at_depth(page: StudyPage) -> Figure:
     """Draw a bar for every arm at the greatest depth: mean ± 1 SD in the target, the trials, the paper's mean."""
-    known = [row for row in rows if row.zero_shot.value is not None]
-    if not known:
+    tested = [row for row in page.rows("transfer") if row.zero_shot.value is not None]
+    if not tested:
         raise NothingToDraw
-    depth = max(row.depth for row in known)
+    depth = max(row.depth for row in tested)
+    deepest = [row for row in tested if row.depth == depth]
     figure = Figure(figsize=(FIGURE_WIDTH, 4.1), layout="constrained")
-    axes, shown = figure.add_subplot(), [row for row in known if row.depth == depth]
+    axes, looks = figure.add_subplot(), page.looks
     ticks: dict[str, float] = {}
-    center = 0.0
-    for row in shown:
-        look, centers = looks[row.environment], []
+    x = 0.0
+    for row in deepest:
+        look, first = looks[row.environment], x
+        trials = [
+            trial for trial in page.rows("scores") if (trial.environment, trial.depth) == (row.environment, depth)
+        ]
         for quantity in _TRANSFERS:
             mean, stated = getattr(row, quantity), getattr(row, f"paper_{quantity}")
             if mean.value is None:
                 continue
-            own = [one for one in scores if (one.environment, one.depth) == (row.environment, depth)]
-            values = np.array([value for one in own if np.isfinite(value := getattr(one, quantity))])
-            adapted = quantity == "adapted"
-            color = look.adapted if adapted else look.color
-            axes.bar(center, mean.value, 0.62, ec=look.color, lw=1.0, fc=color, hatch="////" if adapted else "")
-            axes.errorbar(center, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
-            spread = np.linspace(-0.2, 0.2, len(values)) if len(values) > 1 else np.zeros(1)
-            axes.plot(center + spread, values, look.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
+            scores = np.array([score for trial in trials if np.isfinite(score := getattr(trial, quantity))])
+            fill = {"fc": look.adapted, "hatch": "////"} if quantity == "adapted" else {"fc": look.color}
+            axes.bar(x, mean.value, 0.62, ec=look.color, lw=1.0, **fill)
+            axes.errorbar(x, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
+            spread = np.linspace(-0.2, 0.2, len(scores)) if len(scores) > 1 else np.zeros(1)
+            axes.plot(x + spread, scores, look.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
             if stated is not None:
-                axes.plot([center + 0.34, center + 0.56], [stated] * 2, color=PAPER_MARK, lw=2.5)
-            centers.append(center)
-            center += 1.0
-        ticks[look.label.replace(" ", "\n")] = float(np.mean(centers))
-        center += 0.45
+                axes.plot([x + 0.34, x + 0.56], [stated] * 2, color=PAPER_MARK, lw=2.5)
+            x += 1.0
+        ticks[look.label.replace(" ", "\n")] = (first + x - 1.0) / 2
+        x += 0.45
     axes.axhline(0, color=INK, lw=0.8)
     axes.set_xticks(list(ticks.values()), list(ticks), fontsize="small" if len(ticks) <= 6 else "x-small")
     axes.tick_params(axis="x", length=0)
-    axes.set_xlim(-0.7, center - 0.65)
-    axes.set_ylabel(label)
+    axes.set(xlim=(-0.7, x - 0.65), ylabel=page.score_label, title=f"depth {depth:g} m")
     show_at_least(axes)
-    axes.set_title(f"depth {depth:g} m")
     axes.grid(axis="y")
     handles: list[Artist] = [
         Patch(facecolor=FAINT, edgecolor=INK, lw=0.8, label="zero-shot"),
         Patch(facecolor="none", edgecolor=INK, lw=0.8, hatch="////", label="controller adapted"),
     ]
-    if any(row.paper_zero_shot is not None for row in shown):
+    if any(row.paper_zero_shot is not None for row in deepest):
         handles.append(Line2D([], [], color=PAPER_MARK, lw=2.5, label="paper"))
     legend(figure, handles)
     return figure
 
 
-def transfer_across_depths(rows: Sequence[TransferRow], looks: Mapping[str, Look], label: str) -> Figure:
+@page_figure(
+    "Transfer across depths",
+    section="transfer",
+    caption="{score} in {target} by depth, zero-shot and with controllers adapted to it: means over trials ± 1 SD.",
+)
+def transfer_across_depths(page: StudyPage) -> Figure:
     """Draw lines over depth for every environment, a panel for zero-shot and one for adapted, with ± 1 SD."""
-    listed = sorted({row.depth for row in rows})
-    drawn = [name for name in _TRANSFERS if any(getattr(row, name).value is not None for row in rows)]
-    if len(listed) < 2 or not drawn:
+    rows, looks = page.rows("transfer"), page.looks
+    depths = sorted({row.depth for row in rows})
+    quantities = [name for name in _TRANSFERS if any(getattr(row, name).value is not None for row in rows)]
+    if len(depths) < 2 or not quantities:
         raise NothingToDraw
-    figure, panels = panel_grid(len(drawn), 2 if len(listed) <= _MOST_DEPTHS else 1, row_height=2.6)
-    present = [name for name in looks if any(row.environment == name for row in rows)]
-    for panel, quantity in zip(panels, drawn, strict=True):
-        for number, name in enumerate(present):
-            look, shift = looks[name], 0.07 * (number - (len(present) - 1) / 2)
-            own = sorted((row for row in rows if row.environment == name), key=lambda row: row.depth)
-            found = [(row.depth, mean) for row in own if (mean := getattr(row, quantity)).value is not None]
-            if found:
-                at = [listed.index(depth) + shift for depth, _ in found]
-                means, sds = zip(*((mean.value, mean.sd or 0.0) for _, mean in found), strict=True)
-                panel.errorbar(at, means, sds, color=look.color, marker=look.marker, ms=5, elinewidth=0.9)
+    n_columns = 2 if len(depths) <= _MOST_DEPTHS else 1
+    figure, panels = panel_grid(len(quantities), row_height=2.6, n_columns=n_columns)
+    arms = [name for name in looks if any(row.environment == name for row in rows)]
+    for panel, quantity in zip(panels, quantities, strict=True):
+        for number, name in enumerate(arms):
+            look, shift = looks[name], 0.07 * (number - (len(arms) - 1) / 2)
+            by_depth = {row.depth: getattr(row, quantity) for row in rows if row.environment == name}
+            points = [
+                (at + shift, mean.value, mean.sd or 0.0)
+                for at, depth in enumerate(depths)
+                if (mean := by_depth.get(depth)) is not None and mean.value is not None
+            ]
+            if points:
+                panel.errorbar(*zip(*points, strict=True), color=look.color, marker=look.marker, ms=5, elinewidth=0.9)
         panel.axhline(0, color=INK, lw=0.8)
         panel.set_title(_TRANSFERS[quantity])
         panel.grid(axis="y")
-    panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
+    panels[-1].set_xticks(range(len(depths)), [f"{depth:g}" for depth in depths])
     figure.supxlabel("depth [m]")
-    figure.supylabel(label)
-    handles = [
-        Line2D([], [], color=looks[name].color, marker=looks[name].marker, ms=5, label=looks[name].label)
-        for name in present
-    ]
+    figure.supylabel(page.score_label)
+    drawn = [looks[name] for name in arms]
+    handles = [Line2D([], [], color=look.color, marker=look.marker, ms=5, label=look.label) for look in drawn]
     legend(figure, handles, n_columns=3 if len(handles) <= 6 else 2, above=True)  # below it would hide the label
     return figure
 
 
-Curves = Mapping[tuple[str, float], Sequence[Float64]]  # best fitness by generation of each trial, by arm
-
-
-def fitness_curves(curves: Curves, label: str, looks: Mapping[str, Look]) -> Figure:
+@page_figure(
+    "Fitness by generation",
+    section="evolution",
+    caption="Best fitness so far in the environment where the robots evolve: means over trials, bands of ± 1 SD.",
+)
+def fitness_curves(page: StudyPage) -> Figure:
     """Draw a panel for some depths: best fitness by generation where the robots evolve, mean ± 1 SD over trials."""
-    known = {arm: [curve for curve in own if np.isfinite(curve).any()] for arm, own in curves.items()}
-    known = {arm: own for arm, own in known.items() if own}
-    if not known:
+    finite = {arm: [curve for curve in curves if np.isfinite(curve).any()] for arm, curves in page.curves.items()}
+    curves = {arm: trials for arm, trials in finite.items() if trials}
+    if not curves:
         raise NothingToDraw
-    listed = sorted({depth for _, depth in known})
-    shown = [listed[i] for i in sampled(len(listed), _MOST_DEPTHS)]
-    figure, panels = panel_grid(len(shown), 2, row_height=2.9 if len(shown) == 1 else 1.9)
-    present = [name for name in looks if any(name == environment for environment, _ in known)]
+    depths = sorted({depth for _, depth in curves})
+    shown = [depths[i] for i in sampled(len(depths), _MOST_DEPTHS)]
+    figure, panels = panel_grid(len(shown), row_height=2.9 if len(shown) == 1 else 1.9)
+    looks = {name: look for name, look in page.looks.items() if any(name == arm for arm, _ in curves)}
     for panel, depth in zip(panels, shown, strict=True):
-        for name in present:
-            _curve(panel, known.get((name, depth), ()), looks[name].color)
+        for name, look in looks.items():
+            if trials := curves.get((name, depth)):
+                # Trials that are still running are cut where the shortest ends: a mean is always over the same trials.
+                generation = sampled(min(map(len, trials)), _CURVE_POINTS)
+                best = np.array([np.asarray(curve)[generation] for curve in trials])
+                usable = np.isfinite(best).all(axis=0)  # every robot of an early generation may have diverged
+                best, generation = best[:, usable], generation[usable]
+                mean, sd = best.mean(axis=0), best.std(axis=0, ddof=1) if len(best) > 1 else 0.0
+                panel.fill_between(generation, mean - sd, mean + sd, color=look.color, alpha=0.22, lw=0)
+                panel.plot(generation, mean, color=look.color)
         panel.set_title(f"depth {depth:g} m")
         panel.grid()
     show_at_least(panels[0])
     panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     figure.supxlabel("generation")
-    figure.supylabel(label)
-    handles = [Line2D([], [], color=looks[name].color, label=looks[name].label) for name in present]
+    figure.supylabel(page.settings.evolution.maximised.with_unit("best fitness"))
+    handles = [Line2D([], [], color=look.color, label=look.label) for look in looks.values()]
     legend(figure, handles, n_columns=2, above=True)
     return figure
 
 
-def _curve(panel: Any, curves: Sequence[Float64], color: str) -> None:
-    if not curves:
-        return
-    # Trials that are still running are cut where the shortest ends, so that a mean is always over the same trials.
-    shown = sampled(min(map(len, curves)), _CURVE_POINTS)
-    best = np.array([np.asarray(curve)[shown] for curve in curves])
-    usable = np.isfinite(best).all(axis=0)  # every robot of an early generation may have diverged
-    best = best[:, usable]
-    mean, sd = best.mean(axis=0), best.std(axis=0, ddof=1) if len(best) > 1 else 0.0
-    panel.fill_between(shown[usable], mean - sd, mean + sd, color=color, alpha=0.22, lw=0)
-    panel.plot(shown[usable], mean, color=color)
-
-
-def elites(rows: Sequence[Elite], evolution: EvolutionSettings, looks: Mapping[str, Look]) -> Figure:
+@page_figure(
+    "The fittest robot of each kind of body",
+    section="evolution",
+    caption="Fitness of the best robot of each cell over all trials at the greatest depth, in the environment where "
+    "the robots evolve. Cells at the edge hold what lies beyond. The viewer plays those of the target, under Elites; "
+    "the table elites.csv names every robot.",
+)
+def elites(page: StudyPage) -> Figure:
     """Draw a panel for every environment at the greatest depth: the best fitness over trials of each cell of bodies."""
+    evolution, rows = page.settings.evolution, page.rows("elites")
     if not rows or not isinstance(search := evolution.optimiser, MapElites):
         raise NothingToDraw
     depth = max(row.depth for row in rows)
-    shown = [row for row in rows if row.depth == depth]
-    present = [name for name in looks if any(row.environment == name for row in shown)]
-    figure, panels = panel_grid(len(present), 2, row_height=2.9)
-    low, high = min(row.fitness for row in shown), max(row.fitness for row in shown)
+    deepest = [row for row in rows if row.depth == depth]
+    looks = {name: look for name, look in page.looks.items() if any(row.environment == name for row in deepest)}
+    figure, panels = panel_grid(len(looks), row_height=2.9)
+    low, high = min(row.fitness for row in deepest), max(row.fitness for row in deepest)
     (left, right), (bottom, top) = MEASURES.values()
-    for panel, name in zip(panels, present, strict=True):
+    for panel, (name, look) in zip(panels, looks.items(), strict=True):
         best = np.full(search.cells[::-1], np.nan)
-        for row in shown:
+        for row in deepest:
             if row.environment == name:
-                at = row.size_cell, row.length_cell
-                best[at] = np.fmax(best[at], row.fitness)
+                cell = row.size_cell, row.length_cell
+                best[cell] = np.fmax(best[cell], row.fitness)
         image = panel.imshow(
             best, origin="lower", extent=(left, right, bottom, top), aspect="auto", vmin=low, vmax=high
         )
-        panel.set_title(f"{looks[name].label}, {depth:g} m")
+        panel.set_title(f"{look.label}, {depth:g} m")
     figure.supxlabel("body length at rest [m]")
     figure.supylabel("body size: sum of links [m]")
     figure.colorbar(image, ax=list(panels), label=evolution.maximised.with_unit("fitness"))

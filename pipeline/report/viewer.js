@@ -80,7 +80,7 @@
     context.fillRect(state.time / duration() * width - 1, 0, 2, height);
     const ramp = [0, 0.25, 0.5, 0.75, 1].map((share) => heat(share)).join(", ");
     const scale = " " + darkest.toPrecision(2) + " m/s² or more. Line: mean over links, up to " + most.toPrecision(2) + " m/s².";
-    const which = shown.length > 1 ? " Solid: in " + shown[0].seenIn + "; dashed: in " + shown[1].seenIn + "." : "";
+    const which = shown.length > 1 ? " Solid: in " + shown[0].seen_in + "; dashed: in " + shown[1].seen_in + "." : "";
     const legend = control("legend"), text = scale + which;
     if (legend.dataset.text !== text) {
       legend.dataset.text = text;

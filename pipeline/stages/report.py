@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.config.settings import Settings, WorkSettings
-from pipeline.report.network_figures import ThrowPaths
-from pipeline.report.page import StudyPage, heroes, robot_address
+from pipeline.report.page import heroes, robot_address
 from pipeline.report.render import tables_of, typeset
 from pipeline.report.replay import FILM_FPS
-from pipeline.report.transfer_figures import Curves
+from pipeline.report.study_page import Curves, StudyPage, ThrowPaths
 from pipeline.stages import divergence, segments
 from pipeline.stages.analyse import tables_of_study
 from pipeline.stages.reader import DataSpec, StudyReader, data_spec, inputs_of, read_inputs, read_study

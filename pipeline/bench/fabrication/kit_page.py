@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from pipeline.bench.fabrication.bench import Bench
 from pipeline.bench.fabrication.source import DesignSource
-from pipeline.report.document import absent, document, inline_svg
-from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Missing, NothingToDraw, finish
+from pipeline.report.document import document
+from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, NothingToDraw, finish
 from tasks.bench.fabrication.checks import KitFinding
 from tasks.bench.fabrication.kit import Kit
 from tasks.bench.fabrication.kit_settings import FabricationSettings
@@ -85,11 +85,11 @@ def verdict(findings: Sequence[KitFinding]) -> str:
 
 
 def _figure(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Markup:
-    drawing = finish(name, title, draw)
-    if isinstance(drawing, Missing):
-        return absent(drawing.title, drawing.reason)
-    figure = Markup('<figure id="{}"><h3>{}</h3>{}<figcaption>{}</figcaption></figure>')
-    return figure.format(drawing.name, drawing.title, inline_svg(drawing), drawing.description)
+    """Return a figure, or state why it is missing."""
+    try:
+        return finish(name, title, draw).html()
+    except NothingToDraw as reason:
+        return Markup('<p class="absent"><b>{}</b>: not available, because {}.</p>').format(title, reason)
 
 
 def _torque(kit: Kit, bench: Bench) -> tuple[Figure, str]:

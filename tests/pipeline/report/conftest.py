@@ -10,9 +10,9 @@ import yaml
 from scores_of import study_of
 
 from pipeline.config.settings import Settings
-from pipeline.report.network_figures import ThrowPaths
-from pipeline.report.page import StudyPage, draw_all
+from pipeline.report.page import draw_all
 from pipeline.report.replay import Replay, replay_of
+from pipeline.report.study_page import StudyPage, ThrowPaths
 from tasks.analysis.study import Assessed
 from tasks.analysis.tables import ANALYSES
 from tasks.analysis.tables.exploiters import Exploiter

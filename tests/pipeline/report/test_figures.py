@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 
 from pipeline.report.drawing import FIGURE_WIDTH, PAPER_MARK, Drawing
-from pipeline.report.page import FIGURES, StudyPage, draw_all
+from pipeline.report.page import draw_all
 from pipeline.report.palette import LOOKS
+from pipeline.report.study_page import FIGURES, StudyPage, ThrowPaths
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import transfer_rows
 from tasks.residual import arm_kind
@@ -105,6 +106,13 @@ def test_partial_studies_draw_what_they_can_without_a_warning(study, trials):
     curves = {("dry_land", 3.0): [np.arange(9.0), np.r_[-np.inf, np.arange(3.0)], np.empty(0), np.full(5, -np.inf)]}
     begun = StudyPage(study.settings, curves=curves)
     assert "fitness_curves" in draw_all(replace(with_trials(begun, trials), curves=curves))
+
+
+def test_throws_of_many_sizes_share_panels(study, monkeypatch):
+    """Thirds of 1 to 4 m, of which nothing was thrown in the middle one."""
+    throws = ThrowPaths(np.array([1.0, 1.2, 1.4, 4.0]), np.cumsum(np.ones((4, 30, 3)), axis=1))
+    shown = texts(draw("data_set", replace(study, throws=throws), monkeypatch))
+    assert {"1.0 to 2.0 m long, 3 throws", "3.0 to 4.0 m long, 1 throws"} <= set(shown)
 
 
 def test_a_shorter_trial_cuts_the_mean_curve(study, monkeypatch):

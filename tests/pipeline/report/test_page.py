@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from command_line import call
 
-from pipeline.report.page import StudyPage, draw_all, render_page, render_robot, scale_words
+from pipeline.report.page import draw_all, render_page, render_robot, scale_words
 from pipeline.report.render import tables_of
+from pipeline.report.study_page import StudyPage
 from tasks.residual import LEARNERS, arm_kind
 from tasks.world import ENVIRONMENTS
 

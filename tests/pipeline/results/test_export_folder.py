@@ -14,6 +14,7 @@ import puddle
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.report import page
+from pipeline.report.study_page import FIGURES
 from pipeline.results.export_folder import LARGE_TABLES
 from pipeline.store.design_file import design_json, load_design
 from tasks.residual import arm_kind
@@ -25,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("one_figure")
 def one_figure():
     """All figures take ten seconds; tests/pipeline/report draws them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "FIGURES", {"transfer_at_depth": page.FIGURES["transfer_at_depth"]})
+        patch.setattr(page, "FIGURES", {"transfer_at_depth": FIGURES["transfer_at_depth"]})
         yield
 
 

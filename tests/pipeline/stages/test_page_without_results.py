@@ -13,7 +13,7 @@ from small_study import run
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
-from pipeline.report.page import FIGURES
+from pipeline.report.study_page import FIGURES
 from pipeline.stages import STAGES, environments
 from pipeline.stages.report import PAGE, REPORT
 from pipeline.store.store import Store
