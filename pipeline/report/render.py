@@ -17,7 +17,7 @@ from typing import Any
 from markupsafe import Markup
 
 from pipeline.report.document import TEMPLATES
-from pipeline.store.tables import columns_of, csv_of, described, text
+from pipeline.store.tables import columns_of, csv_of, described
 from tasks.analysis.columns import environment_name, scored_by
 from tasks.analysis.comparison import VERDICTS
 from tasks.analysis.estimates import Estimate, Mean
@@ -226,18 +226,25 @@ WRITERS: dict[str, Callable[[type, Sequence[Any], str], str]] = {
 """Writers of a table, by the suffix of the file."""
 
 
+@dataclass(frozen=True)
+class ColumnNote:
+    """What a table or, where it names one, a column holds."""
+
+    table: str
+    column: str
+    unit: str
+    meaning: str
+
+
 def tables_of(
     tables: Mapping[str, Sequence[Any]], objective: Objective = OBJECTIVES[PAPERS_OBJECTIVE]
 ) -> dict[str, bytes]:
     """Return a study's tables of readable size as CSV, by file name, and the unit and meaning of every column."""
     readable = {name: rows for name, rows in tables.items() if 0 < len(rows) <= _MOST_ROWS_OF_CSV}
-    if not readable:
-        return {}
-    columns = [
-        (name, column, about.get("unit", ""), about.get("meaning", "") or about.get("label", ""))
+    notes = [
+        ColumnNote(name, column, about.get("unit", ""), about.get("meaning") or about.get("label", ""))
         for name in readable
         for column, about in described(scored_by(objective, ANALYSES[name].row)).items()
     ]
-    sheet = dict(zip(("table", "column", "unit", "meaning"), map(text, zip(*columns, strict=True)), strict=True))
     files = {f"{name}.csv": as_csv(ANALYSES[name].row, rows) for name, rows in readable.items()}
-    return {"columns.csv": csv_of(sheet), **files}
+    return {"columns.csv": as_csv(ColumnNote, notes), **files} if files else {}

@@ -6,23 +6,20 @@ frames per second.
 
 import base64
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tasks.arrays import Float64, Floats, Int64
 from tasks.design import Designs
-from tasks.world import Physics
+from tasks.world import Environment, Physics
 
 STEPS_PER_SECOND = 60  # steps per second of a trace with the paper's time step
 STEPS_PER_FRAME = 2
 FILM_FPS = STEPS_PER_SECOND // STEPS_PER_FRAME  # pictures per second of a film: every frame of a replay
 
 QUANTUM = 1e-3  # step of the encoded coordinates [m and rad]; the page is within half of it of the trace
-
-Surroundings = Literal["air", "medium", "hallucinated medium"]
-"""What fills the space above the ground and below y = 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +29,8 @@ class Replay:
     title: str  # heading for the reader
     seen_in: str  # where it is seen, in words
     depth: float  # depth of the ground below y = 0 [m]
-    surroundings: Surroundings
+    has_medium: bool  # whether there is a medium below y = 0
+    hallucinated: bool  # whether networks predict it; its surface is then dashed
     length_scale: Float64  # (n_links,) long axis of each link [m]; its width is the reciprocal
     parent: Int64  # (n_links,) index of each link's parent, -1 for the root
     parent_attachment: Float64  # (n_links,) position of the joint on the parent's long axis [half heights]
@@ -48,16 +46,6 @@ class Replay:
     best: bool = False  # whether it is of the best champion of its arm
     arm_mean: float = 0.0  # zero-shot score of its arm: the mean over trials
     score: float = 0.0  # zero-shot score of the robot
-
-    @property
-    def has_medium(self) -> bool:
-        """Whether there is a medium below y = 0."""
-        return self.surroundings != "air"
-
-    @property
-    def hallucinated(self) -> bool:
-        """Whether networks predict the medium; its surface is then dashed."""
-        return self.surroundings == "hallucinated medium"
 
     @property
     def displacement(self) -> float:
@@ -95,12 +83,12 @@ def at_frames(by_step: Floats, n_settle: int) -> Float64:
 def replay_of(
     design: Designs,
     trace: Floats,
+    environment: Environment,
     *,
     title: str,
     seen_in: str,
-    depth: float,
-    surroundings: Surroundings,
     n_settle: int,
+    hallucinated: bool = False,
     time_step: float = Physics().time_step,
 ) -> Replay:
     """Return the replay of a design from a finite (n_steps, n_links, 6) trace, without ``n_settle`` steps at the start.
@@ -110,8 +98,9 @@ def replay_of(
     return Replay(
         title=title,
         seen_in=seen_in,
-        depth=float(depth),
-        surroundings=surroundings,
+        depth=float(environment.depth),
+        has_medium=environment.medium is not None,
+        hallucinated=hallucinated,
         length_scale=design.length_scale[0],
         parent=design.parent[0],
         parent_attachment=design.parent_attachment[0],

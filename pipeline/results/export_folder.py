@@ -7,7 +7,7 @@
     champions/ARM-trial-N.json      a design file for each champion; ARM-trial-N-adapted.json: with adapted controller
     champions/ARM-trial-N.xml       the same as a model of MuJoCo, where it was asked for
     tables/NAME.parquet             as study.tables names them
-    tables/columns.csv              what every table holds, and type, unit and meaning of its columns
+    tables/columns.csv              what every table holds, and unit and meaning of its columns
     figures/NAME.svg, .png, .pdf    five inches wide
     figures/captions.txt            what each figure shows
     transfer.tex                    the transfer results
@@ -16,8 +16,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from itertools import chain
@@ -28,7 +26,7 @@ import yaml
 
 from pipeline.errors import PuddleError
 from pipeline.report.page import draw_all
-from pipeline.report.render import as_latex
+from pipeline.report.render import ColumnNote, as_csv, as_latex
 from pipeline.results.recorded_study import Study
 from pipeline.results.results_json import results_of
 from pipeline.results.study_tables import about
@@ -76,7 +74,7 @@ def export_study(study: Study, out: Path, *, tables: Sequence[str] | None = None
             f"{', '.join(study.tables)}."
         )
     settings = study.settings.model_dump(mode="json")
-    progress: dict[str, Json] = {name: vars(one) for name, one in study.progress.items()}
+    progress: dict[str, Json] = {name: vars(counts) for name, counts in study.progress.items()}
     manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
     with EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:
         folder.write("settings.yaml", yaml.safe_dump(settings, sort_keys=False).encode())
@@ -94,14 +92,13 @@ def export_study(study: Study, out: Path, *, tables: Sequence[str] | None = None
                 folder.write(f"figures/{drawing.name}.{suffix}", content)
         captions = "\n".join(f"{drawing.name}: {drawing.description}\n" for drawing in drawings.values())
         folder.write("figures/captions.txt", captions.encode())
-    lines = [*folder.preserved]
-    for name, one in study.progress.items():
-        if name != REPORT.name and (one.missing or one.failed):  # the export draws its own figures
-            lines.append(
-                f"{name}: {one.missing} work items are missing and {one.failed} failed; the export lacks them."
-            )
-    counts = f"{n_champions} champions, {len(chosen)} tables of {n_rows:,} rows, {len(drawings)} figures, transfer.tex"
-    return [*lines, f"study {study.name}: {counts}: {place}"]
+    lines = [
+        f"{name}: {counts.missing} work items are missing and {counts.failed} failed; the export lacks them."
+        for name, counts in study.progress.items()
+        if name != REPORT.name and (counts.missing or counts.failed)  # the export draws its own figures
+    ]
+    wrote = f"{n_champions} champions, {len(chosen)} tables of {n_rows:,} rows, {len(drawings)} figures, transfer.tex"
+    return [*folder.preserved, *lines, f"study {study.name}: {wrote}: {place}"]
 
 
 def _write_champions(study: Study, folder: NewFolder, mjcf: bool) -> int:
@@ -122,10 +119,7 @@ def _write_champions(study: Study, folder: NewFolder, mjcf: bool) -> int:
 
 def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder) -> int:
     """Write tables, and the list of what they and their columns hold; return the number of rows."""
-    n_rows = 0
-    sheet = io.StringIO()
-    columns = csv.writer(sheet, lineterminator="\n")
-    columns.writerow(("table", "column", "type", "unit", "meaning"))
+    n_rows, notes = 0, list[ColumnNote]()
     for name in tables:
         path, parts = folder.place(f"tables/{name}.parquet"), study.parts(name)  # which may exceed the memory
         first = next(parts)
@@ -134,9 +128,9 @@ def _write_tables(study: Study, tables: Sequence[str], folder: NewFolder) -> int
                 writer.write_table(part)
                 n_rows += len(part)
         disk.fsync(path)
-        columns.writerow((name, "", "", "", about(name)))
-        for one in first.schema:
-            unit, meaning, label = (one.metadata.get(word, b"").decode() for word in (b"unit", b"meaning", b"label"))
-            columns.writerow((name, one.name, one.type, unit, meaning or label))
-    folder.write("tables/columns.csv", sheet.getvalue().encode())
+        notes.append(ColumnNote(name, "", "", about(name)))
+        for column in first.schema:
+            unit, meaning, label = (column.metadata.get(word, b"").decode() for word in (b"unit", b"meaning", b"label"))
+            notes.append(ColumnNote(name, column.name, unit, meaning or label))
+    folder.write("tables/columns.csv", as_csv(ColumnNote, notes))
     return n_rows

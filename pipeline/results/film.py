@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pipeline.errors import PuddleError
 from pipeline.report.films import RENDERERS
-from pipeline.report.replay import Surroundings, replay_of
+from pipeline.report.replay import replay_of
 from pipeline.stages.replays import median_member
 from pipeline.store import disk
 from tasks.design import Designs
@@ -52,16 +52,14 @@ def film(
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is nothing to show")
     assert rollouts.trace is not None
     trace = rollouts.trace[median_member(rollouts.displacement[:, 0])] if environment.is_ensemble else rollouts.trace
-    learned = isinstance(environment, ResidualSlush)
-    surroundings: Surroundings = "air" if environment.medium is None else "hallucinated medium" if learned else "medium"
     replay = replay_of(
         design,
         trace[0],
+        environment,
         title=path.stem,
         seen_in="air" if environment.medium is None else type(environment.medium).__name__,
-        depth=environment.depth,
-        surroundings=surroundings,
         n_settle=n_settle,
+        hallucinated=isinstance(environment, ResidualSlush),
         time_step=physics.time_step,
     )
     disk.write(path, RENDERERS[path.suffix]([replay]))

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.report.page import robot_address
 from pipeline.report.palette import looks_of
-from pipeline.report.replay import Replay, Surroundings, at_frames, replay_of
+from pipeline.report.replay import Replay, at_frames, replay_of
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.reader import StudyReader
 from pipeline.workflow.identity import arms_of
@@ -160,15 +160,14 @@ def replay_in(
     doubts = None
     if ensemble is not None and ensemble.n_members > 1:
         doubts = at_frames(disagreement_along(design, trace, ensemble, physics)[0], n_settle)
-    other: Surroundings = "air" if environment.medium is None else "medium"
     replay = replay_of(
         design,
         trace[0],
+        environment,
         title=title,
         seen_in=kind.label if member is None else f"{kind.label} (member {member if number is None else number})",
-        depth=environment.depth,
-        surroundings="hallucinated medium" if kind.learned else other,
         n_settle=n_settle,
+        hallucinated=kind.learned,
         time_step=physics.time_step,
     )
     return replace(replay, command=kind.name if member is None or number is None else "", disagreement=doubts)

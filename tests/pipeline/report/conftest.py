@@ -34,18 +34,17 @@ def rollout():
 @pytest.fixture(scope="session")
 def slush_replay(rollout) -> Replay:
     design, trace, _ = rollout
-    seen = replay_of(
-        design, trace, title="With residuals", seen_in="True Slush", depth=2.0, surroundings="medium", n_settle=N_SETTLE
-    )
+    seen = replay_of(design, trace, TrueSlush(2.0), title="With residuals", seen_in="True Slush", n_settle=N_SETTLE)
     return replace(seen, environment="residual_slush", command="true_slush", in_target=True)
 
 
 @pytest.fixture(scope="session")
 def dry_replay(rollout) -> Replay:
     design, _, _ = rollout
-    trace = simulate(design, DryLand(0.5), n_settle=0, n_measure=120, engine="reference", trace=True).trace[0]
-    words = {"title": "On dry land", "seen_in": "Dry Land", "depth": 0.5, "surroundings": "air"}
-    return replace(replay_of(design, trace, n_settle=0, **words), environment="dry_land")
+    land = DryLand(0.5)
+    trace = simulate(design, land, n_settle=0, n_measure=120, engine="reference", trace=True).trace[0]
+    seen = replay_of(design, trace, land, title="On dry land", seen_in="Dry Land", n_settle=0)
+    return replace(seen, environment="dry_land")
 
 
 @pytest.fixture(scope="session")
@@ -53,13 +52,7 @@ def predicted_replay(slush_replay) -> Replay:
     """The same robot as a member predicts it: twice as far."""
     frames = slush_replay.frames.copy()
     frames[..., 0] += np.linspace(0.0, frames[-1, 0, 0] - frames[0, 0, 0], len(frames))[:, None]
-    return replace(
-        slush_replay,
-        frames=frames,
-        seen_in="Residual Slush (member 1)",
-        surroundings="hallucinated medium",
-        in_target=False,
-    )
+    return replace(slush_replay, frames=frames, seen_in="Residual Slush (member 1)", hallucinated=True, in_target=False)
 
 
 SETTINGS = """name: small

@@ -69,8 +69,8 @@ def test_slush_lies_over_the_robot(slush_replay):
 def test_hallucinated_slush_has_a_dashed_surface(slush_replay):
     """Dashes of 4 line widths in 7."""
     real, hallucinated = (
-        count(next(pictures([replace(slush_replay, surroundings=filling)])), SURFACE, 9)
-        for filling in ("medium", "hallucinated medium")
+        count(next(pictures([replace(slush_replay, hallucinated=hallucinated)])), SURFACE, 9)
+        for hallucinated in (False, True)
     )
     assert real >= 0.8 * PICTURE_WIDTH and hallucinated / real == pytest.approx(4 / 7, abs=0.1)
 

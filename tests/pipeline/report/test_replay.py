@@ -11,8 +11,9 @@ from hypothesis.extra import numpy as hnp
 
 from pipeline.config.settings import RolloutSettings
 from pipeline.report.replay import QUANTUM, encode, replay_of
+from tasks.world import TrueSlush
 
-WORDS = {"title": "a robot", "seen_in": "True Slush", "depth": 2.0, "surroundings": "medium"}
+WORDS = {"title": "a robot", "seen_in": "True Slush"}
 
 
 def decode(encoded: dict) -> np.ndarray:
@@ -33,7 +34,7 @@ def test_frames_begin_where_the_displacement_is_measured_from(rollout, slush_rep
 
 def test_time_passes_as_in_the_rollout(rollout):
     design, trace, _ = rollout
-    slow = replay_of(design, trace, n_settle=60, time_step=0.05, **WORDS)
+    slow = replay_of(design, trace, TrueSlush(2.0), n_settle=60, time_step=0.05, **WORDS)
     # 180 steps of 0.05 s are measured; two of them make a frame of 0.1 s.
     assert (slow.fps, slow.duration) == (pytest.approx(10.0), pytest.approx(9.0))
     assert (encode(slow)["fps"], encode(slow)["quantum"]) == (slow.fps, QUANTUM)
@@ -52,7 +53,7 @@ def test_the_shortest_rollout_that_settings_allow_can_be_shown(rollout, n_settle
     """One frame is none: nothing moves in it."""
     design, trace, _ = rollout
     n_steps = n_settle + RolloutSettings(n_settle=n_settle, n_measure=3).n_measure
-    assert len(replay_of(design, trace[:n_steps], n_settle=n_settle, **WORDS).frames) == 2
+    assert len(replay_of(design, trace[:n_steps], TrueSlush(2.0), n_settle=n_settle, **WORDS).frames) == 2
     with pytest.raises(ValueError, match=r"n_measure\n.*greater than or equal to 3"):
         RolloutSettings(n_settle=n_settle, n_measure=2)
 
