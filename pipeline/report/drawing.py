@@ -27,39 +27,7 @@ DASHED, DOTTED = (0, (4, 3)), (0, (1, 1.2))
 
 FIGURE_WIDTH = 360 / 72  # width of a figure [inch]; 360 units of its SVG
 
-_STYLE: list[str | dict[str, Any]] = [
-    "default",
-    {
-        "svg.fonttype": "none",
-        "pdf.fonttype": 42,  # text that an editor of figures can change
-        "svg.hashsalt": "puddle",
-        "font.family": "sans-serif",
-        "font.sans-serif": ["DejaVu Sans"],
-        "font.size": 10.5,
-        "axes.titlesize": 10.5,
-        "axes.titlelocation": "left",
-        "axes.edgecolor": INK,
-        "axes.labelcolor": INK,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.linewidth": 0.8,
-        "axes.axisbelow": True,
-        "text.color": INK,
-        "xtick.color": INK,
-        "ytick.color": INK,
-        "grid.color": FAINT,
-        "grid.linewidth": 0.6,
-        "legend.frameon": False,
-        "legend.handlelength": 1.6,
-        "legend.columnspacing": 1.2,
-        "hatch.linewidth": 1.0,
-        "lines.linewidth": 1.8,
-        "figure.labelsize": 10.5,
-        "figure.facecolor": "none",
-        "axes.facecolor": "none",
-        "savefig.facecolor": "none",
-    },
-]
+_STYLE = ["default", "pipeline.report.figures"]  # figures.mplstyle, whatever style the user has set
 
 
 class NothingToDraw(Exception):  # noqa: N818 (a condition, not a failure)

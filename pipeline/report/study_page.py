@@ -70,6 +70,9 @@ class StudyPage:
         return self.tables.get(name, ())
 
 
+Draw = Callable[[StudyPage], Figure]
+
+
 @dataclass(frozen=True)
 class PageFigure:
     """A registered figure."""
@@ -77,7 +80,7 @@ class PageFigure:
     title: str
     section: str  # of the page
     caption: str  # may name the {target} and the {score}
-    draw: Callable[[StudyPage], Figure]
+    draw: Draw
 
     def drawn(self, page: StudyPage) -> tuple[Figure, str]:
         """Draw it for a study, and complete its caption."""
@@ -89,12 +92,10 @@ FIGURES: dict[str, PageFigure] = {}
 """Every figure by name. Complete once ``pipeline.report.page`` is imported."""
 
 
-def page_figure(
-    title: str, *, section: str, caption: str
-) -> Callable[[Callable[[StudyPage], Figure]], Callable[[StudyPage], Figure]]:
+def page_figure(title: str, *, section: str, caption: str) -> Callable[[Draw], Draw]:
     """Register the function below, which draws a figure or raises NothingToDraw; arguments as :class:`PageFigure`."""
 
-    def register(draw: Callable[[StudyPage], Figure]) -> Callable[[StudyPage], Figure]:
+    def register(draw: Draw) -> Draw:
         FIGURES[draw.__name__] = PageFigure(title, section, caption, draw)
         return draw
 

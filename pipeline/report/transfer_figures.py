@@ -54,8 +54,8 @@ def transfer_at_depth(page: StudyPage) -> Figure:
             if mean.value is None:
                 continue
             scores = np.array([score for trial in trials if np.isfinite(score := getattr(trial, quantity))])
-            fill = {"fc": look.adapted, "hatch": "////"} if quantity == "adapted" else {"fc": look.color}
-            axes.bar(x, mean.value, 0.62, ec=look.color, lw=1.0, **fill)
+            fill, hatch = (look.adapted, "////") if quantity == "adapted" else (look.color, "")
+            axes.bar(x, mean.value, 0.62, ec=look.color, lw=1.0, fc=fill, hatch=hatch)
             axes.errorbar(x, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
             spread = np.linspace(-0.2, 0.2, len(scores)) if len(scores) > 1 else np.zeros(1)
             axes.plot(x + spread, scores, look.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")

@@ -4,8 +4,8 @@ import hashlib
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.report.page import StudyPage
 from pipeline.report.render import as_json
+from pipeline.report.study_page import StudyPage
 from pipeline.results.recorded_study import Study
 from pipeline.stages import STAGES
 from pipeline.store.provenance import environment as provenance
