@@ -85,7 +85,7 @@ def pictures(replays: Sequence[Replay], *, every: int = 1) -> Iterator[Image.Ima
     figure = Figure(figsize=(PICTURE_WIDTH / _DPI, LANE_HEIGHT * len(replays) / _DPI), dpi=_DPI, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     tops = np.arange(len(replays)) / len(replays)
-    lanes = [_lane(figure, *own, height) for own in zip(tops, replays, poses, extents, strict=True)]
+    lanes = [_lane(figure, *robot, height) for robot in zip(tops, replays, poses, extents, strict=True)]
     for frame in range(0, len(times), every):
         for lane in lanes:
             lane(frame, float(times[frame]))

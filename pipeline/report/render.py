@@ -213,8 +213,9 @@ def as_json(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Return rows as JSON values, with every column; what is missing is null."""
     columns = columns_of(kind, rows)
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
-    known = ([None if value != value else value for value in row] for row in values)
-    return [dict(zip(columns, row, strict=True)) for row in known]
+    return [
+        {name: None if value != value else value for name, value in zip(columns, row, strict=True)} for row in values
+    ]
 
 
 WRITERS: dict[str, Callable[[type, Sequence[Any], str], str]] = {

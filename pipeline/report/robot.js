@@ -144,20 +144,20 @@ const robots = (() => {
   // Metres to canvas. With follow, the robot stays in the middle; otherwise the view spans the robots' paths.
   function cameraOf(replay, time, box, center, options) {
     const together = options.together || [replay];
-    const low = Math.min(...together.map((one) => one.extent[0])), high = Math.max(...together.map((one) => one.extent[1]));
+    const low = Math.min(...together.map((other) => other.extent[0])), high = Math.max(...together.map((other) => other.extent[1]));
     const height = box.height - (options.caption ? 62 : 0);
     let scale = Math.min(height / Math.min(Math.max(high - low, 5), MOST_HEIGHT), box.width / 9);
     let middle = center[0];
     if (!options.follow) {
-      const ways = together.map((one) => one.center.map((point) => point[0] - one.start)).flat();
+      const ways = together.map((other) => other.center.map((point) => point[0] - other.start)).flat();
       const from = Math.min(...ways) - 4, to = Math.max(...ways) + 4;
       scale = Math.min(scale, box.width / (to - from));
       middle = replay.start + (from + to) / 2;
     }
     const shown = height / scale;
-    let bottom = together.some((one) => low < -one.depth) ? low : (low + high - shown) / 2;
+    let bottom = together.some((other) => low < -other.depth) ? low : (low + high - shown) / 2;
     if (high - low > MOST_HEIGHT) { // follow them up and down
-      const heights = together.map((one) => poseAt(one, time).center[1]);
+      const heights = together.map((other) => poseAt(other, time).center[1]);
       bottom = Math.max(heights.reduce((sum, y) => sum + y, 0) / heights.length - shown / 2, low);
     }
     return {

@@ -123,8 +123,8 @@
 
   // The same robot in its other environment: where it evolved, or the target. Robots from the target have none.
   function twinOf(index) {
-    const one = encoded[index];
-    return encoded.findIndex((other) => other !== one && ["title", "environment", "depth"].every((name) => other[name] === one[name]));
+    const replay = encoded[index], same = (other) => ["title", "environment", "depth"].every((name) => other[name] === replay[name]);
+    return encoded.findIndex((other) => other !== replay && same(other));
   }
 
   let wantsTwin = true; // until the reader compares with something else
@@ -180,10 +180,10 @@
   // Open the robot that the address of the page names, in the target or, after a colon, as the networks predict it.
   function openAddressed() {
     const [robot, predicted] = decodeURIComponent(location.hash).slice(1).split(":");
-    const found = encoded.filter((replay) => replay.robot && replay.robot === robot);
-    if (!found.length || !choice) return;
-    const one = (predicted && found.find((replay) => replay.hallucinated)) || found[0];
-    choice.value = String(encoded.indexOf(one));
+    const named = encoded.filter((replay) => replay.robot && replay.robot === robot);
+    if (!named.length || !choice) return;
+    const replay = (predicted && named.find(({ hallucinated }) => hallucinated)) || named[0];
+    choice.value = String(encoded.indexOf(replay));
     choose();
     control("viewer").scrollIntoView({ block: "center" });
   }

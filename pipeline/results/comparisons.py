@@ -41,16 +41,17 @@ def compare_arms(study: Study, a: str, b: str) -> Compared:
     """
     if a == b:
         raise PuddleError(f"--arms: expected two arms, got {a} twice")
-    known = dict.fromkeys(name for name, _, _ in study.settings.trials())
+    names = dict.fromkeys(name for name, _, _ in study.settings.trials())
     for arm in (a, b):
-        if arm not in known:
-            raise PuddleError(f"--arms: expected arms of study {study.name} ({', '.join(known)}), got {arm!r}")
+        if arm not in names:
+            raise PuddleError(f"--arms: expected arms of study {study.name} ({', '.join(names)}), got {arm!r}")
     trials = study.trials()
     rows = compare(trials, trials, [((a, quantity), (b, quantity)) for quantity in QUANTITIES], study.settings.target)
     if not rows:
         raise PuddleError(f"study {study.name}: {a} and {b} have no champions at the same depth yet")
-    names, objective = [arm_kind(arm).label for arm in (a, b)], study.settings.evolution.maximised
-    return Compared(f"{names[0]} against {names[1]} in study {study.name}", names[0], names[1], (), rows, objective)
+    label_a, label_b = (arm_kind(arm).label for arm in (a, b))
+    title, objective = f"{label_a} against {label_b} in study {study.name}", study.settings.evolution.maximised
+    return Compared(title, label_a, label_b, (), rows, objective)
 
 
 def compare_studies(a: Study, b: Study) -> Compared:
@@ -65,12 +66,14 @@ def compare_studies(a: Study, b: Study) -> Compared:
     changes = [(name, json.dumps(new), json.dumps(old)) for name, old, new in setting_changes(of_b, of_a)]
     objectives = {(study.settings.evolution.maximised.name, study.settings.objective_depths) for study in (a, b)}
     objective = b.settings.evolution.maximised if len(objectives) == 1 else OBJECTIVES[PAPERS_OBJECTIVE]
-    of_both = a.trials(displacement=objective.is_papers), b.trials(displacement=objective.is_papers)
-    known = [(name, quantity) for name in in_order(one.environment for one in of_both[0]) for quantity in QUANTITIES]
-    pairs = [(arm, arm) for arm in known if arm != (b.settings.target, "predicted")]  # which is zero-shot
-    rows = compare(*of_both, pairs, b.settings.target)
+    trials_a, trials_b = (study.trials(displacement=objective.is_papers) for study in (a, b))
+    scored = [(name, quantity) for name in in_order(trial.environment for trial in trials_a) for quantity in QUANTITIES]
+    pairs = [(arm, arm) for arm in scored if arm != (b.settings.target, "predicted")]  # which is zero-shot
+    rows = compare(trials_a, trials_b, pairs, b.settings.target)
     if not rows:
-        listed = [", ".join(f"{name} at {depth:g} m" for name, depth in arms(trials)) for trials in of_both]
+        listed = [
+            ", ".join(f"{name} at {depth:g} m" for name, depth in arms(trials)) for trials in (trials_a, trials_b)
+        ]
         raise PuddleError(
             f"studies {a.name} and {b.name} have no champions of the same environment at the same depth: expected "
             f"some in both, got {listed[0] or 'none'} in {a.name} and {listed[1] or 'none'} in {b.name}"

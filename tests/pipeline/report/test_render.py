@@ -88,9 +88,8 @@ def test_latex_is_ascii_with_balanced_braces_and_mathematics_that_parses():
     text = as_latex(Reach, rows, "Reach of champions")
     body = text[text.index("\\begin") :]
     assert body.isascii() and body.count("{") == body.count("}") and "\\begin{tabular}{lrrrl}" in body
-    assert [body.index(part) for part in ("\\toprule", "\\midrule", "\\bottomrule", "\\end{tabular}")] == sorted(
-        body.index(part) for part in ("\\toprule", "\\midrule", "\\bottomrule", "\\end{tabular}")
-    )
+    parts = [body.index(part) for part in ("\\toprule", "\\midrule", "\\bottomrule", "\\end{tabular}")]
+    assert parts == sorted(parts)
     assert r"Residual Slush, \^{E} & 1 & 1.0 $\pm$ 0.1 & 50~\% & $\neq$ differs \\" in body
     parser = MathTextParser("path")
     for formula in body.split("$")[1::2]:
