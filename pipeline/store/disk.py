@@ -125,32 +125,25 @@ def locked(path: Path, *, shared: bool = False, taken: Callable[[], str] | None 
     """
     with path.open("ab") as file:
         end = time.monotonic() + _SECONDS_TO_LOCK
-        while taken and not try_lock(file, shared=shared):
-            if time.monotonic() >= end:
+        while not lock(file, shared=shared, wait=taken is None):
+            if taken and time.monotonic() >= end:
                 raise PuddleError(taken())
             time.sleep(0.01)
-        if not taken:
-            _flock(file, fcntl.LOCK_EX)
         yield
 
 
-def try_lock(file: IO[Any], *, shared: bool) -> bool:
-    """Lock an open file, and return whether no other process holds it."""
+def lock(file: IO[Any], *, shared: bool = False, wait: bool = False) -> bool:
+    """Lock an open file; return False if another process holds it. Nothing stands in where a file system has no locks.
+
+    A file that is a lock by its existence would outlive a killed process.
+    """
     try:
-        _flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         return False
-    return True
-
-
-def _flock(file: IO[Any], operation: int) -> None:
-    """Lock a file. Nothing stands in for a lock: a file that is one by its existence outlives a killed process."""
-    try:
-        fcntl.flock(file, operation)
-    except BlockingIOError:
-        raise
     except OSError as error:
         raise PuddleError(
             f"{file.name}: its file system has no locks ({error.strerror}), which keep two processes from writing at "
             f"once. Put the store on a local disk (--store), or have this one mounted with locks (Lustre: -o flock)."
         ) from None
+    return True

@@ -57,14 +57,16 @@ class FolderKind:
         if source.is_file():
             data = disk.read(source)
             return dict(decode_document(data, schema=self.schema, version=self.version, source=str(source))["files"])
-        others = folder.exists() and (
-            not folder.is_dir() or any(not path.name.startswith(_DRAFT) for path in folder.iterdir())
-        )
-        if not folder.parent.is_dir() or others:
-            found = "a file" if folder.is_file() else f"no {source if folder.exists() else folder.parent}"
-            expected = f"expected a new folder or {self.word}"
-            raise PuddleError(f"{folder}: {expected}, found {found}. Choose another one with --out.")
-        return {}
+        if folder.is_file():
+            found = "a file"
+        elif not folder.parent.is_dir():
+            found = f"no {folder.parent}"
+        elif folder.is_dir() and any(not path.name.startswith(_DRAFT) for path in folder.iterdir()):
+            found = f"no {source}"
+        else:
+            return {}
+        expected = f"expected a new folder or {self.word}"
+        raise PuddleError(f"{folder}: {expected}, found {found}. Choose another one with --out.")
 
     @contextlib.contextmanager
     def replace(self, folder: Path, manifest: Mapping[str, Json]) -> Iterator[NewFolder]:

@@ -202,13 +202,12 @@ class Store(Items):
         path = self.study_path(name) / "driver.lock"
         if not path.exists():
             return None
-        with path.open() as lock:
+        with path.open() as file:
             try:
-                if disk.try_lock(lock, shared=True):
-                    return None
+                free = disk.lock(file, shared=True)
             except PuddleError:  # there are no locks, so nothing drives here
                 return None
-            return lock.read() or "another process, which has only just started"
+            return None if free else file.read() or "another process, which has only just started"
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
         """Write a study's report to its folder, over the earlier one, and return the folder."""
