@@ -81,15 +81,14 @@ def explained(error: Exception, store: Path, uri: str | None) -> str:
         return str(error).rstrip(".")
     place = uri or str(store / "mlflow.db")
     reason = (str(error) or type(error).__name__).splitlines()[0].partition(". ")[0].rstrip(".")
-    is_unfit = any(word in reason for word in (*_OTHER_VERSION, *_DAMAGED))
-    if any(word in reason for word in _OTHER_VERSION):
+    of_other_version = any(word in reason for word in _OTHER_VERSION)
+    is_unfit = of_other_version or any(word in reason for word in _DAMAGED)
+    if of_other_version:
         reason = "it was made by another version of MLflow"
-    if uri is None and not is_unfit:  # the database is sound
-        return f"MLflow does not work with {place}: {reason}"
     advice = ""
-    if uri is None:
+    if uri is None and is_unfit:  # a sound one is not to be deleted
         advice = "; delete it, and `puddle study` rebuilds it from the store"
-    elif "://" not in uri:
+    elif uri is not None and "://" not in uri:
         advice = "; unset MLFLOW_TRACKING_URI, and puddle uses a database in the store"
     return without_password(f"{place}: MLflow cannot use it: {reason}{advice}")
 

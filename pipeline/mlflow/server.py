@@ -58,7 +58,7 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
     except Exception as error:  # of any database's driver
         raise PuddleError(explained(error, store, uri)) from None
     if uri is not None and urllib.parse.urlsplit(uri).scheme in ("http", "https"):
-        print(f"MLflow: {runs_page(without_password(uri).rstrip('/'), experiment, study)}")
+        print(f"MLflow: {_runs_page(without_password(uri).rstrip('/'), experiment, study)}")
         return
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -67,17 +67,11 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
         except OSError as error:
             raise PuddleError(f"port {port} is not available ({error.strerror}). Choose another: --port.") from error
     words = [] if uri else ["--default-artifact-root", artifacts_uri(store)]
-    _serve(uri or database_uri(store), port, words, runs_page(f"http://127.0.0.1:{port}", experiment, study))
+    _serve(uri or database_uri(store), port, words, _runs_page(f"http://127.0.0.1:{port}", experiment, study))
 
 
-def runs_page(server: str, experiment: str | None, study: str | None = None) -> str:
-    """Return the address of an experiment's runs, as MLflow shows them for model training rather than for agents.
-
-    Args:
-        server: address of the server.
-        experiment: ID of the experiment; None if there is none yet.
-        study: name of the study whose runs are shown; by default the studies alone.
-    """
+def _runs_page(server: str, experiment: str | None, study: str | None = None) -> str:
+    """Return the address of an experiment's runs, as MLflow shows them for model training rather than for agents."""
     query = f"workflowType=machine_learning&viewStateShareKey={_view_name(study)}"
     page = "experiments" if experiment is None else f"experiments/{experiment}/runs"
     return f"{server}/#/{page}?{query}"

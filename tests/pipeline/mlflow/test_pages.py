@@ -1,12 +1,12 @@
 """MLflow's runs while a study runs, and its pages in a real browser."""
 
 import contextlib
+import itertools
 import os
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -19,14 +19,14 @@ from database_template import own_databases
 from mlflow.tracking import MlflowClient
 from small_study import ON_DRY_LAND, Terminal
 
-from pipeline.cluster import serial_cluster
+from pipeline.cluster import Cluster, serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.mlflow.database import database_uri
 from pipeline.mlflow.mirror import Tracker
 from pipeline.mlflow.run import Run
-from pipeline.mlflow.server import runs_page, show_ui
+from pipeline.mlflow.server import show_ui
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow import study_mirror
@@ -40,52 +40,6 @@ def only_our_server(monkeypatch) -> Iterator[None]:
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     with own_databases():  # the tests ask for the runs while it is made
         yield
-
-
-@contextlib.contextmanager
-def paused_cluster(*, after: int, until: threading.Event):
-    """Open a cluster that waits for an event before it returns more than some results."""
-    with serial_cluster() as cluster:
-        next_done = cluster.next_done
-        left = iter(range(after))
-
-        def next_or_wait(timeout: float | None = None):
-            if next(left, None) is None:
-                until.wait(120)
-            return next_done(timeout)
-
-        cluster.next_done = next_or_wait
-        yield cluster
-
-
-@contextlib.contextmanager
-def live_study(store: Store, monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
-    """Evolve one trial of two segments on a thread; the event lets it start the second one."""
-    monkeypatch.setattr(study_mirror, "SECONDS_BETWEEN_UPDATES", 0.2)
-    go_on, terminal, errors = threading.Event(), Terminal(), []
-
-    def evolve() -> None:
-        try:
-            drive(
-                parse(Settings, ON_DRY_LAND, name="tiny"),
-                STAGES[:3],
-                stages=STAGES,
-                store=store,
-                open_cluster=lambda: paused_cluster(after=1, until=go_on),
-                tracker=Tracker(store.root, say=terminal.say),
-                progress=terminal,
-            )
-        except BaseException as error:
-            errors.append(error)
-
-    thread = threading.Thread(target=evolve)
-    thread.start()
-    try:
-        yield go_on
-    finally:
-        go_on.set()
-        thread.join()
-    assert not errors and not any("MLflow" in line for line in terminal.said)
 
 
 def wait_for(condition, what: str, seconds: float = 120.0):
@@ -134,24 +88,39 @@ def pages(store: Path) -> Iterator[tuple[subprocess.Popen, str]]:
 
 
 def test_a_live_trial_grows_segment_by_segment(store: Store, monkeypatch):
-    """The stage waits in the middle of its only trial."""
-    with live_study(store, monkeypatch) as go_on:
-        (trial,) = wait_for(lambda: trials(store), "the trial never appeared")
+    """The cluster holds the second segment of the only trial back until MLflow has the first."""
+    monkeypatch.setattr(study_mirror, "SECONDS_BETWEEN_UPDATES", 0.2)
+    terminal, n_asked = Terminal(), itertools.count()
 
-        def curve() -> int:
-            return len(MlflowClient(database_uri(store.root)).get_metric_history(trial.info.run_id, "best_fitness"))
+    def n_points() -> int:
+        mlflow = MlflowClient(database_uri(store.root))
+        return sum(len(mlflow.get_metric_history(one.info.run_id, "best_fitness")) for one in trials(store) or ())
 
-        wait_for(lambda: curve() == 2, "MLflow never had the first segment")
-        assert trials(store)[0].info.status == "RUNNING" and not (store.root / "studies/tiny/report").exists()
-        go_on.set()
-        wait_for(lambda: trials(store)[0].info.status == "FINISHED", "the trial never ended")
-        assert curve() == 4
+    @contextlib.contextmanager
+    def waiting_cluster() -> Iterator[Cluster]:
+        with serial_cluster() as cluster:
+            next_done = cluster.next_done
 
+            def next_when_mirrored(timeout: float | None = None):
+                if next(n_asked) == 1:
+                    wait_for(lambda: n_points() == 2, "MLflow never had the first segment")
+                    assert trials(store)[0].info.status == "RUNNING"
+                return next_done(timeout)
 
-def test_the_runs_page_is_that_of_model_training():
-    page = "http://h:1/#/experiments{}?workflowType=machine_learning&{}"
-    assert runs_page("http://h:1", None) == page.format("", "viewStateShareKey=puddle")
-    assert runs_page("http://h:1", "7", "tiny") == page.format("/7/runs", "viewStateShareKey=puddle-tiny")
+            cluster.next_done = next_when_mirrored
+            yield cluster
+
+    drive(
+        parse(Settings, ON_DRY_LAND, name="tiny"),
+        STAGES[:3],
+        stages=STAGES,
+        store=store,
+        open_cluster=waiting_cluster,
+        tracker=Tracker(store.root, say=terminal.say),
+        progress=terminal,
+    )
+    assert trials(store)[0].info.status == "FINISHED" and n_points() == 4
+    assert not any("MLflow" in line for line in terminal.said)
 
 
 def test_the_list_of_studies_has_presets_and_headline_figures(store: Store, browser: Browser):
