@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from pipeline.bench.vision.video import frames
 from pipeline.errors import PuddleError
 from tasks.arrays import Float64, Ints
 from tasks.bench.tracks.repeats import repeated
-from tasks.bench.vision.bar_pose import BarPose, corner_noise, fit_bar, tag_corners
+from tasks.bench.vision.bar_pose import BarPose, fit_bar, tag_corners, typical_noise
 from tasks.bench.vision.plane import CalibrationError, Lens, SeenPlane, assumed_lens, fit_plane
 from tasks.bench.vision.throw_spans import MIN_FRAMES, throw_spans
 
@@ -97,8 +96,8 @@ def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> t
                 f"{path}: its pictures have {film} px, those of {options.lens_video} {board}: film the board with the "
                 f"same camera, zoom and size as the throws"
             )
-        first = sum(len(video.tracks) for video in tracked)
-        tracked.append(_tracked(sightings, markers, lens, options, first))
+        n_before = sum(len(video.tracks) for video in tracked)
+        tracked.append(_tracked(sightings, markers, lens, options, n_before))
         lines += tracked[-1].lines
     if not any(video.tracks for video in tracked):
         what = "link of a robot" if options.robot else "throw"
@@ -130,44 +129,66 @@ def _sightings(path: Path, markers: Markers, slowdown: float) -> _Sightings:
 
 
 def _tracked(
-    sightings: _Sightings, markers: Markers, lens: Lens | None, options: TrackOptions, first: int
+    sightings: _Sightings, markers: Markers, lens: Lens | None, options: TrackOptions, n_before: int
 ) -> VideoTracks:
-    """Calibrate a video and fit the poses of its bars."""
+    """Calibrate a video and fit the poses of its bars; throws are numbered on from ``n_before``."""
     plane, misfit = _plane(sightings, markers, lens)
-    time, n_frames = sightings.time, len(sightings.time)
     bars = markers.robot.bars() if options.robot else markers.bars
     fits = [_fits(sightings, plane, bar) for bar in bars]
-    every = [fit for of_bar in fits for fit in of_bar.values()]
-    typical, noise = 0.0, np.zeros(0)
-    if every:
-        typical, noise = corner_noise(np.array([fit.chi2 for fit in every]), np.array([fit.freedom for fit in every]))
-    noises = iter(noise.tolist())
+    noise = typical_noise([fit for fits_of_bar in fits for fit in fits_of_bar.values()])
     tracks: list[Track] = []
-    for number, (bar, of_bar) in enumerate(zip(bars, fits, strict=True)):
-        pose, deviation, n_seen = np.zeros((n_frames, 3)), np.zeros((n_frames, 3)), np.zeros(n_frames, int)
-        for frame, fit in of_bar.items():
-            pose[frame], deviation[frame] = fit.pose, next(noises) * np.sqrt(np.diag(fit.covariance))
-            n_seen[frame] = sum(tag.number in sightings.tags[frame] for tag in bar.tags)
+    for number, (bar, fits_of_bar) in enumerate(zip(bars, fits, strict=True)):
+        path = _path_of(sightings, bar, fits_of_bar, noise)
         if options.robot:
-            spans: list[Ints] = [np.flatnonzero(n_seen)] if n_seen.any() else []
+            spans: list[Ints] = [np.flatnonzero(path.n_seen)] if path.n_seen.any() else []
         else:
-            spans = throw_spans(time, n_seen, pose, markers.tank.zone_holds(pose[:, :2]), n_tags=len(bar.tags))
-        for span in spans:
-            unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
-            n_lost = int(span[-1] - span[0] + 1 - len(span))
-            lost_from_sight = bool((n_seen[span[-1] + 1 : span[-1] + 2] == 0).any())
-            usual = np.median(deviation[span], axis=0)
-            again = repeated(unwrapped, usual, _MOVES * usual)
-            new = span[~again]
-            if len(new) >= MIN_FRAMES or options.robot:
-                counts = n_lost, int(again.sum()), lost_from_sight
-                tracks.append(Track(number, bar, new, time[new], unwrapped[~again], deviation[new], *counts))
+            in_zone = markers.tank.zone_holds(path.pose[:, :2])
+            spans = throw_spans(sightings.time, path.n_seen, path.pose, in_zone, n_tags=len(bar.tags))
+        of_spans = (_track_of(span, sightings.time, path, bar, number) for span in spans)
+        tracks += [track for track in of_spans if len(track.time) >= MIN_FRAMES or options.robot]
     if not options.robot:
         tracks.sort(key=lambda track: track.time[0])
-        tracks = [replace(track, throw=first + i) for i, track in enumerate(tracks)]
-    interval = float(np.median(np.diff(time))) if n_frames > 1 else 1.0
-    lines = _lines(sightings, tracks, misfit, typical, interval, options.robot)
+        tracks = [replace(track, throw=n_before + i) for i, track in enumerate(tracks)]
+    interval = float(np.median(np.diff(sightings.time))) if len(sightings.time) > 1 else 1.0
+    lines = _lines(sightings, tracks, misfit, noise, interval, options.robot)
     return VideoTracks(sightings.path, sightings.size, plane, tuple(tracks), 1 / interval, tuple(lines))
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """A bar in every frame of a video."""
+
+    pose: Float64  # (n_frames, 3); 0 where no tag is seen
+    deviation: Float64  # (n_frames, 3)
+    n_seen: Ints  # (n_frames,) number of its tags that are seen
+
+
+def _path_of(sightings: _Sightings, bar: TaggedBar, fits: Mapping[int, BarPose], noise: float) -> _Path:
+    n_frames = len(sightings.time)
+    path = _Path(np.zeros((n_frames, 3)), np.zeros((n_frames, 3)), np.zeros(n_frames, int))
+    for frame, fit in fits.items():
+        path.pose[frame], path.deviation[frame] = fit.pose, fit.deviation(noise)
+        path.n_seen[frame] = sum(tag.number in sightings.tags[frame] for tag in bar.tags)
+    return path
+
+
+def _track_of(span: Ints, time: Float64, path: _Path, bar: TaggedBar, number: int) -> Track:
+    """Return the track of a bar in some frames, without those that repeat the picture before."""
+    pose = np.column_stack((path.pose[span, :2], np.unwrap(path.pose[span, 2])))
+    usual = np.median(path.deviation[span], axis=0)
+    again = repeated(pose, usual, _MOVES * usual)
+    new = span[~again]
+    return Track(
+        throw=number,
+        bar=bar,
+        frame=new,
+        time=time[new],
+        pose=pose[~again],
+        deviation=path.deviation[new],
+        n_lost=int(span[-1] - span[0] + 1 - len(span)),
+        n_repeated=int(again.sum()),
+        lost_from_sight=bool((path.n_seen[span[-1] + 1 : span[-1] + 2] == 0).any()),
+    )
 
 
 def _lines(
@@ -211,26 +232,13 @@ def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> dict[int, 
                 fits[frame] = fit
     squares = [fit.chi2 / fit.freedom for fit in fits.values()]
     if squares and (misfit := float(np.sqrt(np.median(squares)))) > _MOST_BAR_MISFIT_PX:
-        for tags in sightings.tags:
-            _check_turns(sightings.path, {number: tags[number] for number in on_bar if number in tags})
         numbers = " and ".join(map(str, on_bar))
         raise PuddleError(
             f"{sightings.path}: the bar with tag{'s' * (len(bar.tags) > 1)} {numbers}: its corners fit to {misfit:.1f} "
             f"px, expected at most {_MOST_BAR_MISFIT_PX:g}: measure its tags (size, along, across) and the tank's (x, "
-            f"y, tag_size) again, and see that no two tags were exchanged"
+            f"y, tag_size) again, and see that no two tags were exchanged or turned"
         )
     return fits
-
-
-def _check_turns(path: Path, tags: Mapping[int, Float64]) -> None:
-    """Refuse tags of one thing that are turned against each other by quarter turns."""
-    up = {number: complex(*(a + b - c - d)) for number, (a, b, c, d) in tags.items()}
-    for (first, upright), (number, direction) in product([*up.items()][:1], up.items()):
-        if n_quarters := abs(round(np.angle(direction / upright) / (np.pi / 2))):
-            raise PuddleError(
-                f"{path}: tag {number} is turned by {90 * n_quarters}° against tag {first}: expected both upright: "
-                f"glue them as their sheet shows"
-            )
 
 
 def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[SeenPlane, float]:
@@ -244,13 +252,12 @@ def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[
     except (CalibrationError, np.linalg.LinAlgError) as error:
         raise PuddleError(f"{path}: the tank's tags: {error}. Check `tank` in the markers file.") from None
     if not misfit <= _MOST_MISFIT_PX:
-        _check_turns(path, {tag.number: four for tag, four in zip(tank.corners, seen, strict=True)})
         off = np.linalg.norm(plane.pixels(metres) - np.concatenate(seen), axis=1).reshape(-1, 4).max(axis=1)
         worst = tank.corners[int(off.argmax())].number
         raise PuddleError(
             f"{path}: frames 0 to {len(sightings.time) - 1}: the tank's tags do not lie where the markers file says: "
             f"{misfit:.1f} px are left, expected at most {_MOST_MISFIT_PX:g}; tag {worst} is {off.max():.1f} px away. "
-            f"Measure the centres of the tags and tag_size again, and lay the tags flat."
+            f"Measure the centres of the tags and tag_size again, and lay the tags flat and upright."
         )
     return plane, misfit
 

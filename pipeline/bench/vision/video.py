@@ -36,19 +36,13 @@ def frames(path: Path, *, colour: bool = False) -> Iterator[Frame]:
         with av.open(str(path)) as container:
             if not container.streams.video:
                 raise PuddleError(f"{path}: expected a video, found no pictures. Is it the right file?")
-            likely = container.streams.best("video").index  # a file may begin with a thumbnail
-            stream = max(container.streams.video, key=lambda stream: (stream.frames, stream.index == likely))
+            stream = container.streams.best("video")  # a file may begin with a thumbnail
             stream.thread_type = "AUTO"
             for frame in container.decode(stream):
                 if frame.time is None or frame.time <= before:
                     raise PuddleError(
                         f"{path}: frame {index}: expected a time later than the frame before, got {frame.time}. Copy "
                         f"the file from the camera again, or convert it to MP4 without changing its frame rate."
-                    )
-                if frame.interlaced_frame:
-                    raise PuddleError(
-                        f"{path}: frame {index}: is interlaced, its rows are of two times: expected progressive video. "
-                        f"Convert it: ffmpeg -i {path.name} -vf bwdif progressive.mp4"
                     )
                 yield Frame(index, float(frame.time), frame.to_ndarray(format="bgr24" if colour else "gray"))
                 index, before = index + 1, frame.time

@@ -6,11 +6,12 @@ those seen then give the pose and its covariance. σ is not assumed: it follows 
 and a frame whose corners fit worse than the others, as where motion blurs them, has a larger one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.arrays import Float64, Ints
+from tasks.arrays import Float64
 
 _N_STEPS = 4  # Gauss-Newton steps from the closed form without weights
 _PRIOR = 8.0  # degrees of freedom that all frames together count for in the noise of one of them
@@ -25,6 +26,14 @@ class BarPose:
     covariance: Float64  # (3, 3) of the pose, per px² of corner noise
     chi2: float  # sum of squares of what the fit leaves [px²]
     freedom: int  # its degrees of freedom
+
+    def deviation(self, typical: float) -> Float64:
+        """Return the (3,) standard deviations of the pose, for the noise of corners in the median frame [px].
+
+        The noise in this frame leans on that one: it counts as much as its degrees of freedom, against 8 of the median.
+        """
+        noise = np.sqrt((_PRIOR * typical**2 + self.chi2) / (_PRIOR + self.freedom))
+        return np.asarray(noise * np.sqrt(np.diag(self.covariance)))
 
 
 def tag_corners(size: float, across: float, along: float) -> Float64:
@@ -67,12 +76,7 @@ def _turned(points: Float64, angle: float) -> Float64:
     return np.asarray(points @ np.array([[c, s], [-s, c]]))
 
 
-def corner_noise(chi2: Float64, freedom: Ints) -> tuple[float, Float64]:
-    """Estimate the deviation of the corners' noise [px] from the (n_frames,) sums of squares that the fits leave.
-
-    Returns the median frame's deviation, and (n_frames,) deviations that lean on it: a frame counts as much as its
-    degrees of freedom, against 8 of the median's.
-    """
-    typical = max(float(np.nanmedian(chi2 / freedom)), LEAST_NOISE_PX**2)
-    of_each = (_PRIOR * typical + chi2) / (_PRIOR + freedom)
-    return float(np.sqrt(typical)), np.sqrt(of_each)
+def typical_noise(fits: Sequence[BarPose]) -> float:
+    """Estimate the deviation of the corners' noise in the median frame [px] from what the fits leave; 0 without any."""
+    squares = [fit.chi2 / fit.freedom for fit in fits]
+    return max(float(np.sqrt(np.median(squares))), LEAST_NOISE_PX) if squares else 0.0

@@ -24,16 +24,16 @@ def test_the_lens_is_opencvs():
 
 
 def test_a_fit_finds_the_plane():
-    found, misfit = fit_plane(GRID, PLANE.pixels(GRID), BENT)
-    assert misfit < 1e-6 and found.to_rays == pytest.approx(PLANE.to_rays / PLANE.to_rays[2, 2], abs=1e-7)
+    plane, misfit = fit_plane(GRID, PLANE.pixels(GRID), BENT)
+    assert misfit < 1e-6 and plane.to_rays == pytest.approx(PLANE.to_rays / PLANE.to_rays[2, 2], abs=1e-7)
 
 
 def test_a_fit_finds_the_first_radial_term_of_an_unknown_lens():
     """k1 (r / f)² is what bends, so that another focal length needs another k1; the plane comes out the same."""
     bent = SeenPlane(Lens((1500.0, 1500.0), (959.5, 539.5), (-0.1, 0.0, 0.0, 0.0, 0.0)), PLANE.to_rays)
-    found, misfit = fit_plane(GRID, bent.pixels(GRID), assumed_lens(1920, 1080), radial=True)
-    assert misfit < 1e-3 and found.lens.distortion[0] == pytest.approx(-0.1 * (1.2 * 1920 / 1500) ** 2, rel=1e-3)
-    assert found.metres(bent.pixels(GRID)) == pytest.approx(GRID, abs=1e-6)
+    plane, misfit = fit_plane(GRID, bent.pixels(GRID), assumed_lens(1920, 1080), radial=True)
+    assert misfit < 1e-3 and plane.lens.distortion[0] == pytest.approx(-0.1 * (1.2 * 1920 / 1500) ** 2, rel=1e-3)
+    assert plane.metres(bent.pixels(GRID)) == pytest.approx(GRID, abs=1e-6)
 
 
 def test_the_jacobian_is_the_change_of_metres_per_pixel():

@@ -34,5 +34,5 @@ def test_throws(seen, x, inside, expected):
     pose = np.zeros((n, 3))
     pose[:, 0] = np.arange(n) * 0.01 if x is None else x
     in_zone = np.ones(n, bool) if inside is None else np.array(inside, bool)
-    found = throw_spans(np.arange(n) / 60.0, np.array(seen), pose, in_zone, n_tags=2)
-    assert [of.tolist() for of in found] == expected
+    throws = throw_spans(np.arange(n) / 60.0, np.array(seen), pose, in_zone, n_tags=2)
+    assert [of.tolist() for of in throws] == expected
