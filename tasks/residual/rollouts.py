@@ -282,5 +282,5 @@ def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physic
         after = times[throw] >= paths.time[throw, first]
         found[:, throw, after] = states[:, row, after]
     if not np.isfinite(found).all():
-        raise TrainingDiverged("the model of the medium diverged: check the tracks, or set tracks.fit to steps")
+        raise TrainingDiverged("the model of the medium diverged: check the tracks, and film more throws")
     return found[0], found[1]

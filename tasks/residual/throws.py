@@ -25,6 +25,7 @@ from tasks.world import Environment, LinkStates, Medium, Physics, as_environment
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
+_FLOOR = 0.1  # share of the residuals' deviation below which their uncertainty does not matter
 _X_REACH = 0.2  # initial x lies within ± this [m]; paper
 
 
@@ -233,3 +234,14 @@ def throw(
         raise ValueError(f"environment: expected one with one medium, such as true_slush, got {environment!r}")
     starts = initial_states(throws, generator(seed, "collect"), physics)
     return simulate_throws(starts, throws.n_steps_of(physics), there.medium, physics)
+
+
+def precision_weights(residual: Float32, residual_sd: Float32) -> Float32:
+    """Return the weights of uncertain residuals: inverse variances, 1 at most.
+
+    The weight is f² / (f² + sd²). The floor f is a tenth of the residuals' deviation, far below what networks of a
+    study get wrong: that a residual is known better than so earns it no more weight.
+    """
+    floor = np.maximum(_FLOOR * residual.std(axis=0, dtype=np.float64), np.finfo(np.float32).tiny)
+    weights: Float32 = (1 / (1 + np.square(residual_sd / floor))).astype(np.float32)
+    return weights

@@ -18,7 +18,7 @@ from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.forms import Form, Targets, form_named, observe, symmetric_copies, velocity_changes
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import Standardisation, initial_weights
-from tasks.residual.throws import MeasuredTransitions, Transitions
+from tasks.residual.throws import MeasuredTransitions, Transitions, precision_weights
 from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
 from tasks.seeding import generator
 
@@ -29,7 +29,6 @@ QUICK = Training(
 """What :func:`learn` trains by default: networks for a notebook."""
 
 _N_CURVE_POINTS = 100  # approximate number of points of a learning curve
-_FLOOR = 0.1  # share of the residuals' deviation below which their uncertainty does not matter
 
 
 class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
@@ -72,17 +71,6 @@ def split_throws(throw: Int64, held_out: float, *, seed: int) -> tuple[Bools, Bo
     n_held_out = min(max(round(held_out * len(throws)), 1), len(throws) - 1)
     validated = np.isin(throw, generator(seed, "held out").permutation(throws)[:n_held_out])
     return ~validated, validated
-
-
-def precision_weights(residual: Float32, residual_sd: Float32) -> Float32:
-    """Return the weights of uncertain residuals: inverse variances, 1 at most.
-
-    The weight is f² / (f² + sd²). The floor f is a tenth of the residuals' deviation, far below what networks of a
-    study get wrong: that a residual is known better than so earns it no more weight.
-    """
-    floor = np.maximum(_FLOOR * residual.std(axis=0, dtype=np.float64), np.finfo(np.float32).tiny)
-    weights: Float32 = (1 / (1 + np.square(residual_sd / floor))).astype(np.float32)
-    return weights
 
 
 def learn(

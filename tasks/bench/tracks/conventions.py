@@ -34,10 +34,6 @@ class Tracks(Parameters):
     flip_angle: bool = False
     """Whether angles grow clockwise. A mirrored view flips x and the angle; an image whose y grows downward, y and the
     angle."""
-    fit: Literal["rollouts", "steps"] = "rollouts"
-    """How residuals are found: "rollouts" fits a model of the medium to the poses at several frames, smooths what it
-    leaves, and adds throws in the model; "steps" smooths the poses alone, and underestimates what dies out between two
-    frames."""
 
     @property
     def simulated_unit(self) -> float:

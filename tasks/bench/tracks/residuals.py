@@ -14,7 +14,7 @@ from tasks.bench.tracks.smoother import Measured, Smoothed, smooth
 from tasks.bench.tracks.table import Paths, TrackError, TrackTable, paths_of
 from tasks.bench.tracks.tank_contacts import contacts, n_contacts
 from tasks.residual import MeasuredTransitions, robot_ranges, simulate_throws
-from tasks.residual.throws import Starts, even_starts
+from tasks.residual.throws import Starts, even_starts, precision_weights
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
@@ -44,8 +44,8 @@ class TrackReport:
 
 
 @dataclass(frozen=True, eq=False)
-class _Estimate:
-    """What smoothed poses alone say of the throws."""
+class SmoothedThrows:
+    """What smoothed poses alone say of the throws, which underestimates what dies out between two frames."""
 
     paths: Paths
     long_axes: Float64  # (n_throws,) of their bars [m]
@@ -61,7 +61,7 @@ def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics
 
     Raises TrackError if something is wrong with a throw or a bar, or with how bars fall, or if no bar gets wet.
     """
-    paths = _estimate(table, bars, tracks, physics).paths
+    paths = smooth_throws(table, bars, tracks, physics).paths
     lowest = float(paths.pose[..., 1].min())
     if lowest > 0:
         raise TrackError(
@@ -76,9 +76,9 @@ def residual_transitions(
 ) -> tuple[MeasuredTransitions, TrackReport]:
     """Smooth tracked throws, and compare each step of the simulator's clock with the base simulator's.
 
-    E(x) is the smoothed velocity one step later, E'(x) the base simulator's step from the smoothed state; positions
-    follow by integration, as in the simulation. A fit to rollouts, of n_iterations, adds throws in the fitted medium,
-    whose numbers are negative.
+    A model of the medium is fitted to the poses in n_iterations, and what its rollouts leave is smoothed. E(x) is then
+    the velocity one step later, E'(x) the base simulator's step from the same state; positions follow by integration,
+    as in the simulation. Throws in the fitted medium, whose numbers are negative, are added.
 
     Returns:
         MeasuredTransitions with their uncertainty, ordered by throw and step, and what the tracks are like.
@@ -86,17 +86,18 @@ def residual_transitions(
     Raises:
         TrackError: something is wrong with a throw or a bar, or with how bars fall.
     """
-    first = _estimate(table, bars, tracks, physics)
-    if tracks.fit == "steps":
-        return first.transitions, first.report
+    first = smooth_throws(table, bars, tracks, physics)
     medium, smoothed, in_range = _rolled_out(first, physics, n_iterations)
     tracked = _transitions(first.paths, first.long_axes, smoothed, physics, first.usable & in_range)
     report = replace(first.report, noise=_noise(smoothed), residual_sd=_typical_sd(tracked))
     return MeasuredTransitions.concatenate([tracked, _thrown_further(medium, tracked, physics)]), report
 
 
-def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> _Estimate:
-    """Check throws, smooth their poses, and compare each step with the base simulator's."""
+def smooth_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> SmoothedThrows:
+    """Check throws, smooth their poses, and compare each step with the base simulator's.
+
+    Raises TrackError if something is wrong with a throw or a bar, or with how bars fall.
+    """
     of_bars = length_scales(bars, tracks)
     paths = paths_of(table, tracks)
     if missing := [throw for throw in map(str, paths.throw) if throw not in of_bars]:
@@ -138,7 +139,7 @@ def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -
     begins = at.copy()
     begins[:, 0] = True
     begins[:, 1:] |= gap
-    return _Estimate(paths, long_axes, time, begins & paths.seen, usable, transitions, report)
+    return SmoothedThrows(paths, long_axes, time, begins & paths.seen, usable, transitions, report)
 
 
 def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
@@ -147,7 +148,7 @@ def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
     return [smooth(Measured(paths.time, pose[..., axis], paths.seen, sds[axis]), time) for axis in range(3)]
 
 
-def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[Medium, list[Smoothed], Bools]:
+def _rolled_out(first: SmoothedThrows, physics: Physics, n_iterations: int) -> tuple[Medium, list[Smoothed], Bools]:
     """Fit a model of the medium, roll the throws out, and smooth by how much the poses seen differ from them.
 
     Returns the model, the states, and which of the (n_throws, n_steps) steps begin no faster than smoothed poses ever
@@ -183,8 +184,6 @@ def _thrown_further(medium: Medium, tracked: MeasuredTransitions, physics: Physi
 
     Their residuals are as uncertain as the medium is wrong about those of the tracked throws.
     """
-    from tasks.residual.training import precision_weights  # imports torch
-
     starts = even_starts(_N_FURTHER, physics, generator(0, "throws in the fitted medium"))
     starts = Starts(-1 - starts.throw, starts.length_scale, starts.state)
     further = simulate_throws(starts, robot_ranges(physics).n_steps, medium, physics)

@@ -64,8 +64,8 @@ class Paths:
 
 def first(wrong: Bools) -> int | None:
     """Return the index of the first True, or None."""
-    found = np.flatnonzero(wrong)
-    return int(found[0]) if len(found) else None
+    indices = np.flatnonzero(wrong)
+    return int(indices[0]) if len(indices) else None
 
 
 def paths_of(table: TrackTable, tracks: Tracks) -> Paths:

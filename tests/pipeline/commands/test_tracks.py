@@ -17,6 +17,7 @@ from pipeline.results.recorded_study import open_study
 from pipeline.stages.collect import COLLECT
 from pipeline.stages.tracked import check_tracks, report_lines, with_tracks
 from tasks.bench.tracks import Tracks, residual_transitions
+from tasks.bench.tracks.residuals import smooth_throws
 from tasks.residual import MeasuredTransitions
 
 SETTINGS = """name: tank
@@ -111,7 +112,7 @@ def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_pa
     with (tmp_path / "tracks-bars.csv").open("a") as file:
         file.write("99,0.07,0.07,0.098\n")
     assert keys(with_tracks(settings, tmp_path / "tracks.csv")) != keys(settings)
-    for change in ({"length_unit": "mm"}, {"fit": "steps"}):
+    for change in ({"length_unit": "mm"}, {"flip_x": True}):
         other = settings.model_copy(update={"tracks": settings.tracks.model_copy(update=change)})
         assert keys(other) != keys(settings)
 
@@ -127,10 +128,10 @@ def test_the_bars_lie_beside_a_compressed_file(bars, collected, tmp_path) -> Non
 
 def test_the_file_may_be_named_beside_other_settings_of_tracks(collected) -> None:
     folder, _ = collected
-    changed = ["tracks.fit=steps", "tracks.flip_x=true"]
+    changed = ["tracks.angle_unit=deg", "tracks.flip_x=true"]
     options = StudyOptions(settings_file=folder / "plain.yaml", overrides=changed, tracks=folder / "tracks.csv")
     tracks = options.settings().tracks
-    assert (tracks.file, tracks.fit, tracks.flip_x) == (str(folder / "tracks.csv"), "steps", True)
+    assert (tracks.file, tracks.angle_unit, tracks.flip_x) == (str(folder / "tracks.csv"), "deg", True)
 
 
 def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(collected, capsys) -> None:
@@ -156,7 +157,7 @@ def test_what_was_dropped_and_repaired_is_said(collected) -> None:
     assert (table.throw[shown] == table.throw).all()
     spun = (table.angle + 9 * table.time)[shown] % np.pi
     given = replace(table, x=table.x[shown], y=table.y[shown], angle=spun)
-    _, report = residual_transitions(given, bars, Tracks(file="tracks.csv", fit="steps"), settings.physics)
+    report = smooth_throws(given, bars, Tracks(file="tracks.csv"), settings.physics).report
     lines = report_lines(asdict(report), settings, 1, 0)
     assert f"{len(shown) // 2} frames at 60 a second" in lines[0]
     assert any(line.startswith(f"warning: {len(shown) // 2} more frames were dropped") for line in lines)

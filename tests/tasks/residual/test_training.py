@@ -15,7 +15,8 @@ from tasks.residual import (
 )
 from tasks.residual.forms import observe
 from tasks.residual.forms.plain import PLAIN
-from tasks.residual.training import TrainingDiverged, precision_weights, split_throws, train_member
+from tasks.residual.throws import precision_weights
+from tasks.residual.training import TrainingDiverged, split_throws, train_member
 from tasks.world import Physics, Slush
 
 SMALL = Architecture(hidden_layers=2, width=16)

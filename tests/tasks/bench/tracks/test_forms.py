@@ -29,9 +29,9 @@ def tilt(angle):
 
 @pytest.mark.parametrize("known", [lambda angle: angle % np.pi, lambda angle: (angle + 1) % np.pi - 1])
 def test_half_turns_of_ellipses_and_moments_are_repaired(table: TrackTable, known) -> None:
-    found, true = paths_of(replace(table, angle=known(table.angle)), PLAIN), paths_of(table, PLAIN)
-    assert (found.period, true.period) == (np.pi, 2 * np.pi)
-    half_turns = (found.pose - true.pose)[..., 2] / np.pi
+    repaired, true = paths_of(replace(table, angle=known(table.angle)), PLAIN), paths_of(table, PLAIN)
+    assert (repaired.period, true.period) == (np.pi, 2 * np.pi)
+    half_turns = (repaired.pose - true.pose)[..., 2] / np.pi
     np.testing.assert_allclose(half_turns, np.round(half_turns[:, :1]) + 0 * half_turns, atol=1e-9)
 
 
@@ -78,7 +78,7 @@ def test_frames_that_repeat_are_dropped_and_counted(table: TrackTable, repeats) 
     assert 0.97 * (~new).sum() <= paths.n_repeated <= (~new).sum()
     assert paths.seen.sum() + paths.n_repeated == len(new)
     true = paths_of(TrackTable(*(getattr(table, name)[new] for name in ("throw", "time", "x", "y", "angle"))), PLAIN)
-    intervals = [np.median(np.diff(one.time, axis=1)[one.seen[:, 1:]]) for one in (paths, true)]
+    intervals = [np.median(np.diff(throws.time, axis=1)[throws.seen[:, 1:]]) for throws in (paths, true)]
     assert intervals[0] == pytest.approx(intervals[1])
 
 
@@ -102,7 +102,7 @@ def test_bars_that_never_move_are_refused_by_name(noise: float) -> None:
     with pytest.raises(TrackError, match=r"throw 0: the bar is at rest in all 16 frames, expected it to move"):
         check_throws(at_rest, bars, PLAIN, Physics())
     if not noise:
-        of_one = table.throw == 2
-        one = replace(table, **{name: np.where(of_one, 0.1, getattr(table, name)) for name in ("x", "y", "angle")})
+        still = table.throw == 2
+        held = replace(table, **{name: np.where(still, 0.1, getattr(table, name)) for name in ("x", "y", "angle")})
         with pytest.raises(TrackError, match="throw 2: the bar is at rest in all 16 frames"):
-            check_throws(one, bars, PLAIN, Physics())
+            check_throws(held, bars, PLAIN, Physics())

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from tank import filmed
 
-from tasks.bench.tracks import Tracks, residual_transitions
+from tasks.bench.tracks import Tracks
 from tasks.bench.tracks.free_fall import check_falls
+from tasks.bench.tracks.residuals import smooth_throws
 from tasks.bench.tracks.table import TrackError
 from tasks.residual import MeasuredTransitions, Throws, initial_states, simulate_throws
 from tasks.world import Physics, Slush
@@ -65,10 +66,10 @@ def test_a_speed_ramp_within_a_file_is_refused(slow: float, within: bool) -> Non
         stretched += (slow - 1) * late
     else:
         stretched[table.throw % 3 == 0] *= slow
-    tracks = Tracks(file="tracks.csv", fit="steps")
+    tracks = Tracks(file="tracks.csv")
     ramped = replace(table, time=stretched)
     if slow == 1.0:
-        residual_transitions(ramped, bars, tracks, PHYSICS)
+        smooth_throws(ramped, bars, tracks, PHYSICS)
         return
     with pytest.raises(TrackError, match=r"throw \d+.*one speed of the video throughout|slow motion is tracked with"):
-        residual_transitions(ramped, bars, tracks, PHYSICS)
+        smooth_throws(ramped, bars, tracks, PHYSICS)

@@ -7,27 +7,35 @@ import pytest
 from tank import SCALE, filmed
 
 from tasks.bench.tracks import Bars, TrackError, Tracks, TrackTable, residual_transitions
-from tasks.bench.tracks.residuals import check_throws
+from tasks.bench.tracks.residuals import TrackReport, check_throws, smooth_throws
+from tasks.residual import MeasuredTransitions
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Physics, Slush
 
 pytestmark = pytest.mark.slow
 
-PLAIN = Tracks(file="tracks.csv", fit="steps")
+PLAIN = Tracks(file="tracks.csv")
 PHYSICS = Physics()
 
 
-def errors(found, *, slower_than: float) -> np.ndarray:
+def smoothed(table: TrackTable, bars: Bars, tracks: Tracks = PLAIN) -> tuple[MeasuredTransitions, TrackReport]:
+    throws = smooth_throws(table, bars, tracks, PHYSICS)
+    return throws.transitions, throws.report
+
+
+def errors(transitions, *, slower_than: float) -> np.ndarray:
     """Return the errors of residuals as shares of their size, where bars are slow."""
-    links = FreeLinks(found.length_scale, PHYSICS)
-    true = (links.step(found.state, Slush()) - links.step(found.state, None))[:, 3:]
-    slow = (np.hypot(*found.state[:, 3:5].T) < slower_than) & (np.abs(found.state[:, 5]) < slower_than)
-    return np.sqrt(np.mean((found.residual[slow, 3:] - true[slow]) ** 2, axis=0) / np.mean(true[slow] ** 2, axis=0))
+    links = FreeLinks(transitions.length_scale, PHYSICS)
+    true = (links.step(transitions.state, Slush()) - links.step(transitions.state, None))[:, 3:]
+    slow = (np.hypot(*transitions.state[:, 3:5].T) < slower_than) & (np.abs(transitions.state[:, 5]) < slower_than)
+    return np.sqrt(
+        np.mean((transitions.residual[slow, 3:] - true[slow]) ** 2, axis=0) / np.mean(true[slow] ** 2, axis=0)
+    )
 
 
 def test_slow_bars_show_the_mediums_residual() -> None:
-    found, report = residual_transitions(*filmed(8, rate=240.0, seconds=0.5), PLAIN, PHYSICS)
-    assert (errors(found, slower_than=2.0) < (0.2, 0.1, 0.25)).all()
+    transitions, report = smoothed(*filmed(8, rate=240.0, seconds=0.5))
+    assert (errors(transitions, slower_than=2.0) < (0.2, 0.1, 0.25)).all()
     assert report.n_contacts == 0 and report.n_gaps == 0 and not report.sd_given
     assert report.fall.acceleration == pytest.approx(-9.8, abs=0.1)
 
@@ -35,18 +43,18 @@ def test_slow_bars_show_the_mediums_residual() -> None:
 def test_rollouts_find_spins_that_die_out_between_frames() -> None:
     """Fast bars lose most of their spin in the 3.8 steps between two frames, which a smoother takes for less drag."""
     thrown = filmed(8)
-    smoothed, _ = residual_transitions(*thrown, PLAIN, PHYSICS)
-    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS, n_iterations=100)
-    tracked = found[found.throw >= 0]
+    of_poses, _ = smoothed(*thrown)
+    transitions, _ = residual_transitions(*thrown, PLAIN, PHYSICS, n_iterations=100)
+    tracked = transitions[transitions.throw >= 0]
     assert (errors(tracked, slower_than=20.0) < (0.15, 0.1, 0.15)).all()
-    assert errors(smoothed, slower_than=20.0)[2] > 0.4
-    assert np.abs(tracked.state[:, 5]).max() <= np.abs(smoothed.state[:, 5]).max()
+    assert errors(of_poses, slower_than=20.0)[2] > 0.4
+    assert np.abs(tracked.state[:, 5]).max() <= np.abs(of_poses.state[:, 5]).max()
 
 
 def test_throws_in_the_fitted_medium_cover_what_was_not_thrown_with_their_uncertainty() -> None:
     thrown = filmed(8, noise_mm=0.3, noise_deg=0.3)
-    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS, n_iterations=60)
-    tracked, further = found[found.throw >= 0], found[found.throw < 0]
+    transitions, _ = residual_transitions(*thrown, PLAIN, PHYSICS, n_iterations=60)
+    tracked, further = transitions[transitions.throw >= 0], transitions[transitions.throw < 0]
     links = FreeLinks(further.length_scale, PHYSICS)
     error = further.next_in_slush - links.step(further.state, Slush())
     share = np.sqrt(np.mean(error[:, 3:] ** 2, axis=0) / np.mean(further.residual[:, 3:] ** 2, axis=0))
@@ -59,20 +67,20 @@ def test_throws_in_the_fitted_medium_cover_what_was_not_thrown_with_their_uncert
 
 
 def test_rows_are_those_of_the_base_simulator() -> None:
-    found, _ = residual_transitions(*filmed(4, seconds=0.5), PLAIN, PHYSICS)
-    dry = FreeLinks(found.length_scale, PHYSICS).step(found.state, None)
-    np.testing.assert_array_equal(found.next_on_dry_land, dry)
-    np.testing.assert_array_equal(found.residual, found.next_in_slush - found.next_on_dry_land)
+    transitions, _ = smoothed(*filmed(4, seconds=0.5))
+    dry = FreeLinks(transitions.length_scale, PHYSICS).step(transitions.state, None)
+    np.testing.assert_array_equal(transitions.next_on_dry_land, dry)
+    np.testing.assert_array_equal(transitions.residual, transitions.next_in_slush - transitions.next_on_dry_land)
     step = np.float32(PHYSICS.time_step)
-    moved = found.next_in_slush[:, :3] - found.state[:, :3]
-    np.testing.assert_allclose(moved, step * found.next_in_slush[:, 3:], atol=1e-5)
+    moved = transitions.next_in_slush[:, :3] - transitions.state[:, :3]
+    np.testing.assert_allclose(moved, step * transitions.next_in_slush[:, 3:], atol=1e-5)
 
 
 def test_noise_is_reported_and_widens_the_uncertainty() -> None:
-    sharp, _ = residual_transitions(*filmed(12, seconds=0.6), PLAIN, PHYSICS)
-    found, report = residual_transitions(*filmed(12, seconds=0.6, noise_mm=0.5, noise_deg=0.5), PLAIN, PHYSICS)
+    sharp, _ = smoothed(*filmed(12, seconds=0.6))
+    transitions, report = smoothed(*filmed(12, seconds=0.6, noise_mm=0.5, noise_deg=0.5))
     assert np.array(report.noise) == pytest.approx([0.0005 / SCALE, 0.0005 / SCALE, np.radians(0.5)], rel=0.35)
-    assert (np.median(found.residual_sd[:, 3:], axis=0) > 1.5 * np.median(sharp.residual_sd[:, 3:], axis=0)).all()
+    assert (np.median(transitions.residual_sd[:, 3:], axis=0) > 1.5 * np.median(sharp.residual_sd[:, 3:], axis=0)).all()
 
 
 def test_steps_in_a_gap_are_left_out() -> None:
@@ -80,10 +88,10 @@ def test_steps_in_a_gap_are_left_out() -> None:
     of_one = np.flatnonzero(table.throw == 1)
     left = np.setdiff1d(np.arange(len(table.throw)), of_one[5:11])
     shorter = type(table)(*(getattr(table, name)[left] for name in ("throw", "time", "x", "y", "angle")))
-    found, report = residual_transitions(shorter, bars, PLAIN, PHYSICS)
+    transitions, report = smoothed(shorter, bars)
     assert report.n_gaps == 1
     assert report.n_rows_in_gaps == pytest.approx(7 / 60 / SCALE**0.5 * 60, abs=2)
-    steps = found.step[found.throw == 1]
+    steps = transitions.step[transitions.throw == 1]
     assert np.diff(steps).max() == report.n_rows_in_gaps + 1
 
 
@@ -94,14 +102,16 @@ def test_rows_at_contacts_are_left_out_and_counted() -> None:
     throw = np.repeat(np.arange(4), 17)
     table = TrackTable(throw, np.tile(time, 4), x.ravel(), np.tile(9 - 4.9 * time**2, 4), np.zeros(4 * 17))
     bars = Bars(np.arange(4), np.ones(4), np.ones(4), np.ones(4))
-    found, report = residual_transitions(
-        table, bars, Tracks(file="tracks.csv", metres_per_metre=1.0, fit="steps"), PHYSICS
-    )
+    transitions, report = smoothed(table, bars, Tracks(file="tracks.csv", metres_per_metre=1.0))
     assert report.n_contacts == 1
     # Steps of 1/60 s that touch the three frames on each side of the contact: 6 intervals of 1/16 s, and both ends.
     assert report.n_rows_at_contacts == pytest.approx(6 / 16 * 60, abs=2)
-    assert len(found) == 4 * 60 - report.n_rows_at_contacts
-    assert set(np.unique(found.throw[~np.isin(found.step, found.step[found.throw == 2])])) == {0, 1, 3}
+    assert len(transitions) == 4 * 60 - report.n_rows_at_contacts
+    assert set(np.unique(transitions.throw[~np.isin(transitions.step, transitions.step[transitions.throw == 2])])) == {
+        0,
+        1,
+        3,
+    }
 
 
 def test_tracks_that_are_refused() -> None:
@@ -114,4 +124,4 @@ def test_tracks_that_are_refused() -> None:
         (replace(table, y=-table.y), bars, r"fall freely upward.*check tracks\.flip_y"),
     ):
         with pytest.raises(TrackError, match=said):
-            residual_transitions(of, with_bars, PLAIN, PHYSICS)
+            smoothed(of, with_bars)

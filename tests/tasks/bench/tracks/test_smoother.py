@@ -23,10 +23,10 @@ def test_a_parabola_is_followed_exactly_between_uneven_frames() -> None:
     time[:, 0], time[:, -1] = 0, 1
     v0, a = rng.normal(size=(2, 6, 1))
     at = many_times(61, 1.0, 6)
-    found = smooth(measured(time, 3 + v0 * time + a * time**2 / 2), at)
-    np.testing.assert_allclose(found.mean[..., 0], 3 + v0 * at + a * at**2 / 2, atol=1e-4)
-    np.testing.assert_allclose(found.mean[..., 1], v0 + a * at, atol=2e-3)
-    np.testing.assert_allclose(found.mean[:, 5:-5, 2], np.broadcast_to(a, (6, 51)), atol=0.05)
+    smoothed = smooth(measured(time, 3 + v0 * time + a * time**2 / 2), at)
+    np.testing.assert_allclose(smoothed.mean[..., 0], 3 + v0 * at + a * at**2 / 2, atol=1e-4)
+    np.testing.assert_allclose(smoothed.mean[..., 1], v0 + a * at, atol=2e-3)
+    np.testing.assert_allclose(smoothed.mean[:, 5:-5, 2], np.broadcast_to(a, (6, 51)), atol=0.05)
 
 
 @pytest.mark.parametrize("noise", [1e-3, 1e-2])
@@ -34,9 +34,9 @@ def test_noise_is_estimated_from_the_data(noise: float) -> None:
     rng = np.random.default_rng(2)
     time = np.linspace(0, 2, 60)
     true = rng.normal(size=(20, 1)) * time + rng.normal(size=(20, 1)) * time**2
-    found = smooth(measured(time, true + noise * rng.normal(size=true.shape)), many_times(10, 2.0, 20))
+    smoothed = smooth(measured(time, true + noise * rng.normal(size=true.shape)), many_times(10, 2.0, 20))
     # 1,200 measurements fix a deviation within 1 / √2400 = 2 %, fewer by what the motion takes up: three deviations.
-    assert found.noise == pytest.approx(noise, rel=0.1)
+    assert smoothed.noise == pytest.approx(noise, rel=0.1)
 
 
 def test_deviations_cover_the_errors() -> None:
@@ -49,12 +49,12 @@ def test_deviations_cover_the_errors() -> None:
     v = np.cumsum(a * dt, axis=1)
     p = np.cumsum(v * dt, axis=1)
     at_frames = np.concatenate([np.zeros((40, 1)), p[:, fine - 1 :: fine]], axis=1)
-    found = smooth(measured(time, at_frames + 0.01 * rng.normal(size=at_frames.shape)), np.tile(time, (40, 1)))
+    smoothed = smooth(measured(time, at_frames + 0.01 * rng.normal(size=at_frames.shape)), np.tile(time, (40, 1)))
     velocity = np.concatenate([np.zeros((40, 1)), v[:, fine - 1 :: fine]], axis=1)
-    change = np.diff(found.mean[..., 1], axis=1) - np.diff(velocity, axis=1)
-    P, C = found.covariance[..., 1, 1], found.with_next[:, :-1, 1, 1]
+    change = np.diff(smoothed.mean[..., 1], axis=1) - np.diff(velocity, axis=1)
+    P, C = smoothed.covariance[..., 1, 1], smoothed.with_next[:, :-1, 1, 1]
     of_change = (change / np.sqrt(P[:, 1:] + P[:, :-1] - 2 * C)).std()
-    of_velocity = ((found.mean[..., 1] - velocity) / np.sqrt(P)).std()
+    of_velocity = ((smoothed.mean[..., 1] - velocity) / np.sqrt(P)).std()
     assert 0.7 < of_change < 1.1 and 0.7 < of_velocity < 1.1  # heavy tails make it a little too careful
 
 
@@ -79,5 +79,5 @@ def test_given_deviations_are_used() -> None:
     sd[:, 10] = 1.0
     value = true + 1e-4 * rng.normal(size=true.shape)
     value[:, 10] += 0.3  # a bad frame that says so
-    found = smooth(Measured(np.tile(time, (8, 1)), value, np.ones(true.shape, bool), sd), np.tile(time, (8, 1)))
-    np.testing.assert_allclose(found.mean[..., 0], true, atol=1e-3)
+    smoothed = smooth(Measured(np.tile(time, (8, 1)), value, np.ones(true.shape, bool), sd), np.tile(time, (8, 1)))
+    np.testing.assert_allclose(smoothed.mean[..., 0], true, atol=1e-3)

@@ -43,10 +43,10 @@ def test_units_axes_and_wrapped_angles_change_nothing_once_they_are_stated(table
     sd = np.full(len(table.x), 2.0)
     other = replace(other, x_sd=sd, y_sd=sd, angle_sd=sd)
     stated = Tracks(file="tracks.csv", length_unit="mm", angle_unit="deg", flip_x=True, flip_y=True, flip_angle=True)
-    found, plain = paths_of(other, stated), paths_of(table, PLAIN)
-    np.testing.assert_allclose(found.pose[..., :2], plain.pose[..., :2])
-    np.testing.assert_allclose(found.sd[0, 0], [0.002 / SCALE, 0.002 / SCALE, np.radians(2.0)])
-    whole_turns = (found.pose - plain.pose)[..., 2] / (2 * np.pi)
+    converted, plain = paths_of(other, stated), paths_of(table, PLAIN)
+    np.testing.assert_allclose(converted.pose[..., :2], plain.pose[..., :2])
+    np.testing.assert_allclose(converted.sd[0, 0], [0.002 / SCALE, 0.002 / SCALE, np.radians(2.0)])
+    whole_turns = (converted.pose - plain.pose)[..., 2] / (2 * np.pi)
     np.testing.assert_allclose(whole_turns, np.round(whole_turns[:, :1]) + np.zeros_like(whole_turns), atol=1e-9)
 
 
