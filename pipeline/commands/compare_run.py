@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -59,50 +59,22 @@ def compare_run(
     How far and how fast it went, and its gait, stand on the terminal and on a page. The prediction is that of a study's
     ensemble (--study), or what the kit records; its interval is two standard deviations of the members to either side.
     """
-    source = RunSource(run, markers, lens, slowdown)
-    to_stdout(*compare_built_run(source, kit, study, store, out))
-
-
-@dataclass(frozen=True)
-class RunSource:
-    """Where a run comes from."""
-
-    path: Path  # a video, or tracks whose throws are links
-    markers: Path | None
-    lens: Path | None
-    slowdown: float
-
-
-def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Path, out: Path) -> list[str]:
-    """Compare a run with its simulation; write the page.
-
-    Args:
-        source: the run.
-        kit: the robot's kit.
-        study: the study whose ensemble predicts the run; None for what the kit records.
-        store: the store of the study.
-        out: the page.
-
-    Returns:
-        Lines for the terminal; the last one is the verdict.
-
-    Raises:
-        PuddleError: the run can't be read, is not of this robot, or is too short.
-    """
     output_suffix(out, (".html",))
     recorded = None if study is None else open_study(study, store, say=to_stderr)
     robot = read_kit(kit, recorded)
     if recorded is not None:
         robot = _predicted(robot, recorded)
-    paths, lines = _link_paths(source)
+    if run.suffix in (".csv", ".parquet", ".gz"):
+        paths, lines = _read_tracks(run), list[str]()
+    else:
+        paths, lines = _tracked(run, markers, TrackOptions(lens, slowdown, robot=True))
     try:
         comparison = compare_with_simulation(robot, paths)
     except RunError as error:
-        raise PuddleError(f"{source.path} with {kit}: {error}") from None
-    page = render_run(comparison, source.path.name)
-    disk.place(out, page.encode())
-    lines.append(f"{robot.name}: {comparison.measured.time[-1]:.1f} s of steady gait")
-    return [*lines, *as_text(RunRow, comparison.rows()), f"page: {out}", verdict(comparison)]
+        raise PuddleError(f"{run} with {kit}: {error}") from None
+    disk.place(out, render_run(comparison, run.name).encode())
+    to_stdout(*lines, f"{robot.name}: {comparison.measured.time[-1]:.1f} s of steady gait")
+    to_stdout(*as_text(RunRow, comparison.rows()), f"page: {out}", verdict(comparison))
 
 
 def _predicted(robot: BuiltRobot, study: Study) -> BuiltRobot:
@@ -151,17 +123,14 @@ def read_kit(folder: Path, study: Study | None = None) -> BuiltRobot:
     )
 
 
-def _link_paths(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
-    """Return the path of each link, and lines for the terminal."""
-    if source.path.suffix in (".csv", ".parquet", ".gz"):
-        return _read_tracks(source.path), []
-    if source.markers is None:
+def _tracked(video: Path, markers: Path | None, options: TrackOptions) -> tuple[dict[int, LinkPath], list[str]]:
+    """Return the path of each link in a video, and lines for the terminal."""
+    if markers is None:
         raise PuddleError(
-            f"{source.path}: a video needs --markers, markers.yaml of a throwing kit; tracks end in .csv or .parquet"
+            f"{video}: a video needs --markers, markers.yaml of a throwing kit; tracks end in .csv or .parquet"
         )
-    options = TrackOptions(source.lens, source.slowdown, robot=True)
-    (video,), lines = follow([source.path], load(Markers, source.markers), options)
-    return {track.throw: (track.time, track.pose) for track in video.tracks}, lines
+    (tracked,), lines = follow([video], load(Markers, markers), options)
+    return {track.throw: (track.time, track.pose) for track in tracked.tracks}, lines
 
 
 def _read_tracks(path: Path) -> dict[int, LinkPath]:
