@@ -18,7 +18,7 @@ from pipeline.bench.vision.markers_file import Markers, TaggedBar
 from pipeline.commands.compare_run import read_kit
 from tasks.analysis.built_run import BuiltRobot
 from tasks.arrays import Float64
-from tasks.bench.fabrication.timeline import Playback, driven_joints, envelope
+from tasks.bench.fabrication.timeline import RAMP, driven_joints, envelope
 from tasks.design import N_LINKS, rest_pose
 from tasks.seeding import generator
 from tasks.simulation import simulate
@@ -47,10 +47,10 @@ def motion_of(robot: BuiltRobot, seconds: float, slower: float) -> tuple[Float64
 
 def _risen(robot: BuiltRobot, time: Float64, poses: Float64) -> Float64:
     """Lower the angles of the joints by the timeline's envelope while it rises. The root's path stays."""
-    ramp, parent = Playback().ramp, robot.design.parent[0]
-    rising = np.flatnonzero(time < ramp)
+    parent = robot.design.parent[0]
+    rising = np.flatnonzero(time < RAMP)
     seen = poses[rising]
-    share = envelope(time[rising], duration=time[-1] + ramp, ramp=ramp)[:, None]
+    share = envelope(time[rising], duration=time[-1] + RAMP, ramp=RAMP)[:, None]
     joints = list(driven_joints(robot.design))
     angle = seen[:, joints, 2] - seen[:, parent[joints], 2] - robot.design.rest_angle[0, joints]
     bodies = robot.design[np.zeros(len(rising), dtype=int)]

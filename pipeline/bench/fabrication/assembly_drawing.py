@@ -86,8 +86,8 @@ def _saved(figure: Figure, form: str) -> bytes:
     return buffer.getvalue()
 
 
-def assembly_drawing(kit: Kit, robot: Shape, title: str, n_faults: int) -> dict[str, bytes]:
-    """Draw a kit and its robot, with the number of faults of parts and bench. Returns ``svg`` and ``pdf``."""
+def assembly_drawing(kit: Kit, robot: Shape, title: str) -> dict[str, bytes]:
+    """Draw a kit and its robot. Returns ``svg`` and ``pdf``."""
     with mpl.rc_context(_STYLE):
         width, height = _SHEET_MM
         figure = Figure(figsize=(width / 25.4, height / 25.4), facecolor="white")
@@ -97,7 +97,7 @@ def assembly_drawing(kit: Kit, robot: Shape, title: str, n_faults: int) -> dict[
         inner = (width - 2 * _MARGIN_MM, height - 2 * _MARGIN_MM)
         sheet.add_patch(Rectangle((_MARGIN_MM, _MARGIN_MM), *inner, fill=False, ec=INK, lw=0.9))
         scale = _side_view(sheet, kit)
-        lower_end = _tables(sheet, kit, n_faults)
+        lower_end = _table_of_joints(sheet, kit)
         bottom = _MARGIN_MM + _TITLE_HEIGHT_MM + 4
         view = (_COLUMN_X_MM / width, bottom / height, _COLUMN_WIDTH_MM / width, (lower_end - bottom - 6) / height)
         _view(figure, view, robot, 0.4)
@@ -205,8 +205,8 @@ def _joint(sheet: Axes, servo_joint: ServoJoint, kit: Kit, put: Put, scale: floa
     return unary_union([arc.buffer(0.4), Point(x, y).buffer(2.5)])
 
 
-def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
-    """Draw the table of joints and the warning of faults. Returns the lower end [mm]."""
+def _table_of_joints(sheet: Axes, kit: Kit) -> float:
+    """Draw the table of joints. Returns its lower end [mm]."""
     x, y, widths = _COLUMN_X_MM, _SHEET_MM[1] - 18.0, (10, 25, 19, 18, 25, 25)
     rows = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
     for servo_joint in kit.servo_joints:
@@ -219,16 +219,10 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
     sheet.text(x, y, "Joints", fontsize=9, weight="bold")
     for number, row in enumerate(rows):
         y -= 4.6
-        for cell, at, width in zip(row, x + np.cumsum((0, *widths)), widths, strict=False):
-            fits = int(width / 1.24)
-            text = cell if len(cell) <= fits else cell[: fits - 1] + "…"
-            sheet.text(at, y, text, fontsize=_SMALL, color=_GREY if number == 0 else INK)
+        for cell, at in zip(row, x + np.cumsum((0, *widths[:-1])), strict=True):
+            sheet.text(at, y, cell, fontsize=_SMALL, color=_GREY if number == 0 else INK)
         if number == 0:
             sheet.plot([x, x + sum(widths)], [y - 1.2, y - 1.2], color=_GREY, lw=0.4)
-    if n_faults:
-        y -= 8
-        warning = f"{n_faults} fault{'s' * (n_faults > 1)} found. Read the findings before you print."
-        sheet.text(x, y, warning, color=_RED, weight="bold")
     return y
 
 

@@ -53,60 +53,72 @@ class Bench:
 
 def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physics: Physics) -> Bench:
     """Simulate a design, compute loads, floating and timeline of its kit, and check them."""
-    design, settings, servo = source.design, choices.kit, kit.servo
     scales = scales_of(
         choices.scaling,
-        length=settings.scale_mm_per_m / 1000,
+        length=choices.kit.scale_mm_per_m / 1000,
         mass_kg=kit.mass_g / 1000,
-        simulated_mass_kg=physics.link_density * design.parent.shape[1],  # a link has 1 m²
+        simulated_mass_kg=physics.link_density * source.design.parent.shape[1],  # a link has 1 m²
     )
-    findings: list[KitFinding] = []
-    calibration, timeline = _calibration_of(kit), None
-    if calibration is not None:
-        timeline = timeline_of(design, choices.playback, time_scale=scales.time)
-        try:
-            pulses(timeline, calibration)
-        except TimelineError as error:
-            message = f"can't play this gait: {str(error).rstrip('.')}. {_ADVICE['gait']}"
-            findings.append(KitFinding("fault", "servos", message))
-            timeline = None
+    calibration = _calibration_of(kit)
+    timeline, about_timeline = _played(source, scales, calibration)
     simulated = _simulated(source, physics)
-    loads: list[JointLoad] = []
-    if simulated is None:
-        findings.append(KitFinding("fault", "joints", "loads are unknown because the simulation diverged"))
-    else:
-        joints = driven_joints(design)
-        loads = joint_loads(
-            joints,
-            simulated.torque,
-            simulated.speed,
-            scales=scales,
-            servo=servo,
-            servos_per_joint=settings.servos_per_joint,
-            max_motor_torque=physics.max_motor_torque,
-            commanded_speed=top_speed(design)[0, list(joints)],
-        )
-        findings += check_loads(loads, servo)
-    floating, tank = floating_of(kit, fluid_density=choices.scaling.fluid_density), source.settings.tank
-    # Without a tank the kit floats in slush of the simulated depth, at its scale.
-    depth_mm = source.depth * settings.scale_mm_per_m if tank is None else 1000 * tank.depth
-    about_robot = list(check_floating(floating, depth_mm))
-    if tank is not None and not isclose(1000 * tank.scale, settings.scale_mm_per_m):
-        expected = f"{1000 * tank.scale:g}"
-        about_robot.append(
-            f"the kit has {settings.scale_mm_per_m:g} mm per metre of simulation, the tank of its settings {expected} "
-            f"mm. Results from that tank do not apply to this kit; to match it, --set kit.scale_mm_per_m={expected}"
-        )
-    findings += [KitFinding("warning", "robot", message) for message in about_robot]
+    loads = () if simulated is None else tuple(_loads(source, kit, simulated, scales, physics))
+    diverged = KitFinding("fault", "joints", "loads are unknown because the simulation diverged")
+    about_loads = [diverged] if simulated is None else check_loads(loads, kit.servo)
+    floating = floating_of(kit, fluid_density=choices.scaling.fluid_density)
+    about_robot = (KitFinding("warning", "robot", message) for message in _check_tank(source, choices, floating))
     return Bench(
         scales=scales,
         simulated=simulated,
-        loads=tuple(loads),
+        loads=loads,
         floating=floating,
         calibration=calibration,
         timeline=timeline,
-        findings=tuple(findings),
+        findings=(*about_timeline, *about_loads, *about_robot),
     )
+
+
+def _played(
+    source: DesignSource, scales: Scales, calibration: Calibration | None
+) -> tuple[Timeline | None, list[KitFinding]]:
+    """Return the timeline, or the fault of servos that can't play it; neither without a servo."""
+    if calibration is None:
+        return None, []
+    timeline = timeline_of(source.design, time_scale=scales.time)
+    try:
+        pulses(timeline, calibration)
+    except TimelineError as error:
+        message = f"can't play this gait: {str(error).rstrip('.')}. {_ADVICE['gait']}"
+        return None, [KitFinding("fault", "servos", message)]
+    return timeline, []
+
+
+def _loads(
+    source: DesignSource, kit: Kit, simulated: SimulatedRun, scales: Scales, physics: Physics
+) -> list[JointLoad]:
+    joints = driven_joints(source.design)
+    return joint_loads(
+        joints,
+        simulated.torque,
+        simulated.speed,
+        scales=scales,
+        servo=kit.servo,
+        servos_per_joint=kit.settings.servos_per_joint,
+        max_motor_torque=physics.max_motor_torque,
+        commanded_speed=top_speed(source.design)[0, list(joints)],
+    )
+
+
+def _check_tank(source: DesignSource, choices: FabricationSettings, floating: Floating) -> Iterator[str]:
+    """Say what keeps the kit from floating in its study's tank, or in slush of the simulated depth at its scale."""
+    tank, scale = source.settings.tank, choices.kit.scale_mm_per_m
+    yield from check_floating(floating, source.depth * scale if tank is None else 1000 * tank.depth)
+    if tank is not None and not isclose(1000 * tank.scale, scale):
+        expected = f"{1000 * tank.scale:g}"
+        yield (
+            f"the kit has {scale:g} mm per metre of simulation, the tank of its settings {expected} mm. Results from "
+            f"that tank do not apply to this kit; to match it, --set kit.scale_mm_per_m={expected}"
+        )
 
 
 def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | None:

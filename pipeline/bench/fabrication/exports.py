@@ -7,6 +7,7 @@
     cad/PART.step        one piece each, in place in the robot
 """
 
+import csv
 import io
 import re
 from collections.abc import Sequence
@@ -17,7 +18,6 @@ import numpy as np
 from build123d import Compound, Shape, export_step
 
 from pipeline.bench.fabrication.assembly_drawing import assembly_drawing, perspective
-from pipeline.bench.fabrication.kit_files import csv_table
 from tasks.bench.fabrication.kit import Kit
 from tasks.bench.fabrication.parts import Mesh, mesh_of, on_bed
 
@@ -25,12 +25,12 @@ _EPOCH = "1980-01-01T00:00:00"  # instead of the time of writing
 _OCCURRENCE = re.compile(rb"(NEXT_ASSEMBLY_USAGE_OCCURRENCE)\('\d+'([^;]*;)")
 
 
-def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
-    """Make a kit's files, by path inside its folder, with the drawing's title and its warning of faults."""
+def exports(kit: Kit, *, title: str) -> dict[str, bytes]:
+    """Make a kit's files, by path inside its folder, with the drawing's title."""
     solids = [*((part.name, part.solid) for part in kit.parts), *((item.name, item.solid) for item in kit.bought)]
     robot = compound(solids, "robot")
     files = {"bill.csv": _bill_csv(kit), "robot.step": step(robot), "robot.svg": perspective(robot)}
-    files |= {f"drawing.{form}": sheet for form, sheet in assembly_drawing(kit, robot, title, n_faults).items()}
+    files |= {f"drawing.{form}": sheet for form, sheet in assembly_drawing(kit, robot, title).items()}
     for part in kit.parts:
         files[f"print/{part.name}.stl"] = stl(on_bed(part, mesh_of(part.solid)))
         files[f"cad/{part.name}.step"] = step(compound([(part.name, part.solid)], part.name))
@@ -40,12 +40,14 @@ def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
 
 
 def _bill_csv(kit: Kit) -> bytes:
-    rows = []
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("kind", "item", "count", "each_length_mm", "all_mass_g", "note"))
     for line in kit.bill:
         length = "" if line.length_mm is None else f"{line.length_mm:.1f}"
         mass = "" if line.mass_g is None else f"{line.mass_g:.1f}"
-        rows.append((line.kind, line.item, line.count, length, mass, line.note))
-    return csv_table(("kind", "item", "count", "each_length_mm", "all_mass_g", "note"), rows)
+        rows.writerow((line.kind, line.item, line.count, length, mass, line.note))
+    return text.getvalue().encode()
 
 
 def compound(solids: Sequence[tuple[str, Shape]], label: str) -> Shape:

@@ -1,8 +1,6 @@
 """What others read of a kit: its manifest, timeline.json of its servos, and calibration.yaml."""
 
-import csv
-import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,7 +16,7 @@ from tasks.design import N_LINKS
 from tasks.parameters import Parameters
 
 KIT_MANIFEST = "kit.json"  # makes a folder a kit: schema, source, findings and the SHA-256 of every other file
-KIT = FolderKind("a kit", "puddle.kit", 1, KIT_MANIFEST)
+KIT = FolderKind("a kit", "puddle.kit", 2, KIT_MANIFEST)
 
 _SCHEMA, _VERSION = "puddle.timeline", 1
 _RADIAN_DIGITS, _PULSE_DIGITS = 6, 2  # decimals, far finer than any servo
@@ -42,13 +40,6 @@ def write_folder(kind: FolderKind, folder: Path, files: Mapping[str, bytes], man
         for name, content in files.items():
             new.write(name, content)
     return new.preserved
-
-
-def csv_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
-    """Encode rows of a table as CSV."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows((head, *rows))
-    return text.getvalue().encode()
 
 
 def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:

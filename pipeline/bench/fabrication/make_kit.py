@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from importlib import resources
 from importlib.util import find_spec
-from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic_core import to_jsonable_python
 
@@ -18,6 +20,12 @@ from pipeline.store.encoding import Json
 from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.design import DesignError
+from tasks.world import Physics
+
+if TYPE_CHECKING:
+    from pipeline.bench.fabrication.bench import Bench
+    from tasks.bench.fabrication.checks import KitFinding
+    from tasks.bench.fabrication.kit import Kit
 
 _GUIDES = resources.files("pipeline.bench.fabrication").joinpath("guides")  # pages of docs/, copied into every kit
 
@@ -43,38 +51,46 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
     bench = bench_of(source, kit, choices, physics)
     findings = sorted((*kit.findings, *bench.findings), key=lambda finding: finding.severity)  # faults first
     n_faults = sum(finding.severity == "fault" for finding in findings)
-    files = exports(kit, title=source.name, n_faults=n_faults)
+    files = exports(kit, title=source.name)
     files |= {guide.name: guide.read_bytes() for guide in _GUIDES.iterdir()}
-    files["design.json"] = design_json(source.design)
-    if bench.calibration is not None:
-        heading = f"Servos of {source.name}, from the data sheet of a {kit.servo.name}. Measure yours (servo.md)."
-        files["calibration.yaml"] = calibration_yaml(bench.calibration, heading)
-        if bench.timeline is not None:
-            files["timeline.json"] = timeline_json(bench.timeline, bench.calibration)
+    files |= {"design.json": design_json(source.design)} | _servo_files(bench, source, kit)
     files["index.html"] = render_kit(kit, bench, source, choices, findings=findings, physics=physics, folder=place.name)
-    metrics = {"n_faults": float(n_faults), "mass_g": kit.mass_g, "submerged_share": bench.floating.sealed_share}
-    metrics |= {f"margin.joint_{load.joint}": load.margin for load in bench.loads if isfinite(load.margin)}
-    media = environments.media_of(source.settings, source.settings.target)
-    manifest: dict[str, Json] = {
-        "name": source.name,
-        "origin": source.origin,
-        "settings": choices.model_dump(mode="json"),
-        "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in findings],
-        "metrics": metrics,
-        "simulated": {
-            "environment": source.settings.target,
-            "depth": source.depth,
-            "physics": physics.model_dump(mode="json"),
-            "media": to_jsonable_python(media),
-            "rollout": source.settings.rollout.model_dump(mode="json"),
-            "predicted": None if source.predicted is None else list(source.predicted),
-        },
-    }
+    manifest = _manifest(source, choices, findings, physics)
     lines = write_folder(KIT, place, files, manifest)
     lines += [f"{finding.severity:<8} {finding.where}: {finding.message.rstrip('.')}." for finding in findings]
     lines += [f"joint {load.joint}: the servo gives {load.margin:.2f} times what the run needs" for load in bench.loads]
     last = f"{verdict(findings)} Kit of a robot of {kit.mass_g:.0f} g: {out / 'index.html'}"
     return [*lines, last], n_faults
+
+
+def _servo_files(bench: Bench, source: DesignSource, kit: Kit) -> dict[str, bytes]:
+    if bench.calibration is None:
+        return {}
+    heading = f"Servos of {source.name}, from the data sheet of a {kit.servo.name}. Measure yours (servo.md)."
+    files = {"calibration.yaml": calibration_yaml(bench.calibration, heading)}
+    if bench.timeline is not None:
+        files["timeline.json"] = timeline_json(bench.timeline, bench.calibration)
+    return files
+
+
+def _manifest(
+    source: DesignSource, choices: FabricationSettings, findings: Sequence[KitFinding], physics: Physics
+) -> dict[str, Json]:
+    """Return what a kit records: its findings, and its simulation, with which compare-run compares the robot's run."""
+    return {
+        "name": source.name,
+        "origin": source.origin,
+        "settings": choices.model_dump(mode="json"),
+        "findings": [asdict(finding) for finding in findings],
+        "simulated": {
+            "environment": source.settings.target,
+            "depth": source.depth,
+            "physics": physics.model_dump(mode="json"),
+            "media": to_jsonable_python(environments.media_of(source.settings, source.settings.target)),
+            "rollout": source.settings.rollout.model_dump(mode="json"),
+            "predicted": None if source.predicted is None else list(source.predicted),
+        },
+    }
 
 
 def require_cad() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from pipeline.bench.fabrication.kit_files import csv_table, write_folder
+from pipeline.bench.fabrication.kit_files import write_folder
 from pipeline.bench.fabrication.make_kit import require_cad
 from pipeline.bench.vision import require_vision
 from pipeline.errors import PuddleError
@@ -48,11 +48,10 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
         raise PuddleError(str(error)) from None
     markers = markers_of(throwing, bars)
     highest = throwing.tank_height - throwing.waterline
-    throws = _throws(bars, settings.scale_mm_per_m / 1000, lowest=-throwing.waterline, highest=highest)
+    throws = starts_of(bars, settings.scale_mm_per_m / 1000, lowest=-throwing.waterline, highest=highest)
     made = tag_sheets(markers, [bar.name for bar in bars])
     for bar in bars:
         made[f"print/{bar.name}.stl"] = stl(mesh_of(plate_of(bar, settings)).on_bed())
-    made["bars.csv"], made["throws.csv"] = _bars_csv(bars), csv_table(_THROW, throws)
     made[MARKERS] = (_HEADING + yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)).encode()
     made["index.html"] = render_page(
         "throwing_kit.html",
@@ -75,22 +74,10 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     return [*preserved, *lines, f"Bars to throw, tags and protocol: {out / 'index.html'}"]
 
 
-def _bars_csv(bars: tuple[ThrowingBar, ...]) -> bytes:
-    rows = []
-    for bar in bars:
-        sides = [f"{value:.1f}" for value in (bar.length_mm, bar.width_mm, bar.rod_at_mm)]
-        masses = [f"{value:.1f}" for value in (bar.plate_g, bar.rods_g, bar.trim_g, bar.mass_g)]
-        rows.append((bar.name, *sides, f"{bar.infill:.2f}", *masses))
-    return csv_table(
-        ("name", "length_mm", "width_mm", "rod_at_mm", "infill", "plate_g", "rods_g", "trim_g", "mass_g"), rows
-    )
-
-
-_THROW = ("bar", "y_mm", "angle_deg", "vx_m_s", "vy_m_s", "turns_per_s")
 _N_THROWS = 64  # a power of 2, whose starts are balanced
 
 
-def _throws(bars: Sequence[ThrowingBar], scale: float, *, lowest: float, highest: float) -> list[tuple[str, ...]]:
+def starts_of(bars: Sequence[ThrowingBar], scale: float, *, lowest: float, highest: float) -> list[tuple[str, ...]]:
     """Return starts that are spread evenly over the states of robots' links, with the bars and in the tank there are.
 
     Args:

@@ -7,6 +7,7 @@ from shapely import Polygon, unary_union
 from tasks.bench.fabrication.built_bodies import Mechanism, mechanism_of
 from tasks.bench.fabrication.features import Feature, check_room_between, features_of
 from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.printing import ROD_CLEARANCE_MM
 from tasks.bench.fabrication.profile import Profile, profile_of
 from tasks.bench.fabrication.rods import Layers, keep_out, layers_of, rod_circles
 from tasks.bench.fabrication.servo_joints import ServoJoint, servo_joints_of
@@ -61,10 +62,10 @@ def assemble(design: Designs, settings: KitSettings) -> Assembly:
     servo_joints = servo_joints_of(mechanism, servo, settings)
     check_room_between(servo_joints, settings)
     bodies = range(len(mechanism.bodies))
-    profiles = tuple(profile_of(mechanism, servo_joints, body, settings) for body in bodies)
+    profiles = tuple(profile_of(mechanism, servo_joints, body) for body in bodies)
     outlines = [profile.polygon for profile in profiles]
     layers = layers_of(mechanism, servo_joints, outlines, settings)
-    bores = [rod_circles(rods, (settings.rod_mm + settings.rod_clearance_mm) / 2) for rods in layers.rods]
+    bores = [rod_circles(rods, (settings.rod_mm + ROD_CLEARANCE_MM) / 2) for rods in layers.rods]
     taken = [unary_union([keep_out(servo_joints, body), bores[body]]) for body in bodies]
     return Assembly(
         settings=settings,

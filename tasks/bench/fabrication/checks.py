@@ -14,13 +14,14 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.bench.fabrication.assembly import Assembly
 from tasks.bench.fabrication.built_bodies import Pose, moved
+from tasks.bench.fabrication.printing import MIN_WALL_MM, SWEEP_CLEARANCE_MM, WALL_MM
 from tasks.bench.fabrication.splits import bed_mm
 
 Severity = Literal["fault", "warning"]
 
 _VARIANT_MOTORS = 2  # actuated joints of the physical variant; paper, "Manufacturing"
 _ROUNDING_MM, _ROUNDING_MM2 = 1e-6, 0.01
-_NECK_STEP_MM = 0.25
+_MIN_NECK_MM, _NECK_STEP_MM = 8.0, 0.25  # narrowest place of an outline that is strong enough; accuracy
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,6 @@ def _travel(assembly: Assembly) -> Iterator[KitFinding]:
 
 def _walls(assembly: Assembly) -> Iterator[KitFinding]:
     """Find thin walls between two features, and between a feature and the outline."""
-    least = assembly.settings.min_wall_mm
     for (body, side), cut in assembly.features.items():
         walls: dict[tuple[str, str], float] = defaultdict(lambda: inf)
         names = [f"{feature.label} ({feature.group})" for feature in cut]
@@ -76,39 +76,38 @@ def _walls(assembly: Assembly) -> Iterator[KitFinding]:
                 wall = feature.outline.distance(whole.boundary) if whole.contains(feature.outline) else 0.0
                 walls[name, "the outside"] = min(walls[name, "the outside"], wall)
         for (first, second), between in walls.items():
-            if between < least:
-                message = f"{between:.2f} mm between {first} and {second}, expected at least {least:g} mm"
+            if between < MIN_WALL_MM:
+                message = f"{between:.2f} mm between {first} and {second}, expected at least {MIN_WALL_MM:g} mm"
                 yield KitFinding("fault", f"part {body + 1}, {side}", message)
 
 
 def _necks(assembly: Assembly) -> Iterator[KitFinding]:
     """Find the width at which shrinking a part from all sides splits it."""
-    settings = assembly.settings
     for body, outline in zip(assembly.mechanism.bodies, assembly.outlines, strict=True):
         width = 0.0
-        while width < settings.min_neck_mm:
+        while width < _MIN_NECK_MM:
             width += _NECK_STEP_MM
             left = outline.buffer(-width / 2)
-            pieces = [piece for piece in getattr(left, "geoms", [left]) if piece.area > settings.min_neck_mm**2]
+            pieces = [piece for piece in getattr(left, "geoms", [left]) if piece.area > _MIN_NECK_MM**2]
             if len(pieces) != 1:
-                message = f"is {width:.1f} mm wide at its narrowest, expected at least {settings.min_neck_mm:g}"
-                yield KitFinding("fault" if width <= settings.min_wall_mm else "warning", body.name, message)
+                message = f"is {width:.1f} mm wide at its narrowest, expected at least {_MIN_NECK_MM:g}"
+                yield KitFinding("fault" if width <= MIN_WALL_MM else "warning", body.name, message)
                 break
 
 
 def _collisions(assembly: Assembly) -> Iterator[KitFinding]:
     """Check parts of one layer at rest, in the gait, and anywhere in the ranges of their joints."""
-    mechanism, outlines, clearance = assembly.mechanism, assembly.outlines, assembly.settings.sweep_clearance_mm
+    mechanism, outlines = assembly.mechanism, assembly.outlines
     for a, b in combinations(mechanism.bodies, 2):
         if assembly.layers.outer[a.index] != assembly.layers.outer[b.index]:
             continue
-        passing, still = outlines[b.index], outlines[a.index].buffer(clearance)
+        passing, still = outlines[b.index], outlines[a.index].buffer(SWEEP_CLEARANCE_MM)
         joints = " and ".join(f"joint {joint.link}" for joint, _ in mechanism.path(a.index, b.index))
         severity: Severity = "fault"
         if (area := outlines[a.index].intersection(passing).area) > _ROUNDING_MM2:
             where, advice = "at rest", "Change rest_angle in the design file, or choose another design"
         elif (area := _largest_overlap(still, passing, mechanism.poses_in_gait(a.index, b.index))) > _ROUNDING_MM2:
-            where = f"in the gait, with a clearance of {clearance:g} mm"
+            where = f"in the gait, with a clearance of {SWEEP_CLEARANCE_MM:g} mm"
             advice = f"Reduce motion_range or change phase of {joints} in the design file, or choose another design"
         elif (area := _largest_overlap(still, passing, mechanism.poses_in_range(a.index, b.index))) > _ROUNDING_MM2:
             severity, where = "warning", f"elsewhere in the range of {joints} than in the gait"
@@ -123,11 +122,11 @@ def _largest_overlap(still: BaseGeometry, passing: BaseGeometry, poses: Sequence
 
 
 def _rods(assembly: Assembly) -> Iterator[KitFinding]:
-    settings, layers = assembly.settings, assembly.layers
+    layers = assembly.layers
     for body, rods in zip(assembly.mechanism.bodies, layers.rods, strict=True):
         if not rods:
             swept = " and clear of the parts that sweep over it" if layers.outer[body.index] else ""
-            message = f"has no room for a rod with a wall of {settings.wall_mm:g} mm around it{swept}"
+            message = f"has no room for a rod with a wall of {WALL_MM:g} mm around it{swept}"
             yield KitFinding("fault", body.name, message)
         elif len(rods) < 2:
             yield KitFinding("warning", body.name, "has room for 1 of 2 rods, so its copies twist more")

@@ -14,11 +14,13 @@ from shapely import Polygon
 from tasks.bench.fabrication.built_bodies import Point
 from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.printing import MIN_WALL_MM, ROD_CLEARANCE_MM
 from tasks.bench.fabrication.servo_joints import ServoJoint
 
 _ARC_SEGMENTS = 64  # chords per quarter of a circle, whose area is then off by 1 part in 10,000
 _NOTCH_DEPTH_MM = 5.0  # of the cable's exit in the rim of the pocket
 _PILOT = 0.85  # pilot hole of a self-tapping screw, in screw diameters
+_PIVOT_CLEARANCE_MM = 0.3  # added to a pin's diameter where a part turns on it
 _CLEARANCE_MM = 0.4  # added to a screw's diameter where it passes freely
 _HEAD = 2.0  # head of a screw, in screw diameters
 _HEAD_CLEARANCE_MM = 1.0  # added to a head's diameter for the screwdriver
@@ -120,7 +122,7 @@ def horn_features(servo_joint: ServoJoint) -> list[Feature]:
     sunk = seat - horn_screw(servo_joint).web_mm
     features.append(_bore("centre screw", group, at, through, sunk, seat))
     if sunk > 0.0:  # where a wall between the bores would be too thin, they meet
-        wide = through if between >= settings.min_wall_mm else 2 * (horn.screw_radius_mm - head / 2 + _OVERLAP_MM)
+        wide = through if between >= MIN_WALL_MM else 2 * (horn.screw_radius_mm - head / 2 + _OVERLAP_MM)
         features.append(_bore("centre screw", group, at, wide, 0.0, sunk))
     for hole in servo_joint.horn_holes():
         features.append(_bore("horn screw", group, hole, horn.screw_mm + _CLEARANCE_MM, sunk, seat))
@@ -170,10 +172,10 @@ def features_of(
         if side in servo_joint.sides:
             features += cradle_features(servo_joint) if carries else horn_features(servo_joint)
         else:
-            diameter = settings.rod_mm + (settings.rod_clearance_mm if carries else settings.pivot_clearance_mm)
+            diameter = settings.rod_mm + (ROD_CLEARANCE_MM if carries else _PIVOT_CLEARANCE_MM)
             group = f"pin of joint {servo_joint.joint.link}"
             features.append(_bore("pin", group, servo_joint.joint.at, diameter, 0.0, settings.thickness_mm))
     for number, rod in enumerate(rods, 1):
-        diameter = settings.rod_mm + settings.rod_clearance_mm
+        diameter = settings.rod_mm + ROD_CLEARANCE_MM
         features.append(_bore("rod", f"rod {number}", rod, diameter, 0.0, settings.thickness_mm))
     return tuple(features)

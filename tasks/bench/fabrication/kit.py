@@ -6,7 +6,6 @@ Needs the optional CAD packages: make setup EXTRAS=cad.
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
 
 from scipy.optimize import brentq
 from shapely import box, unary_union
@@ -16,6 +15,7 @@ from tasks.bench.fabrication.checks import KitFinding, findings_of
 from tasks.bench.fabrication.features import ear_screw_mm, horn_screw
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.parts import BoughtPart, Gauge, Part, bought_of, gauges_of, parts_of
+from tasks.bench.fabrication.printing import rod_g
 from tasks.design import Designs
 
 
@@ -86,7 +86,7 @@ def _bill_of(assembly: Assembly, parts: Sequence[Part]) -> list[BillLine]:
     n_pins = (2 - n_each) * len(assembly.servo_joints)
     steel.append(("pin", settings.pin_length_mm, n_pins, "turns in the part with the wider bore"))
     for kind, length, n, note in steel:
-        grams = settings.steel_density_g_cm3 * pi * settings.rod_mm**2 / 4 * length / 1000 * n
+        grams = n * rod_g(settings.rod_mm, length)
         if n:
             lines.append(BillLine(kind, f"stainless steel rod, {settings.rod_mm:g} mm", n, note, length, grams))
     lines.append(BillLine("supplies", "glue", 1, "for rods, pins and pieces of split parts"))

@@ -6,7 +6,6 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator
 
 from tasks.bench.fabrication.scaling import Scaling
 from tasks.bench.fabrication.servos import DIMENSIONS, HornKind
-from tasks.bench.fabrication.timeline import Playback
 from tasks.parameters import Parameters
 
 
@@ -33,34 +32,10 @@ class KitSettings(Parameters):
     """Clearance on every side of a servo or horn; printed pockets come out small."""
     rod_mm: float = Field(default=3.0, ge=1.0, le=10.0)
     """Diameter of the rods. [P]"""
-    rod_clearance_mm: float = Field(default=0.1, ge=0.0, le=1.0)
-    """Added to a rod's diameter where it is glued or pressed in."""
-    pivot_clearance_mm: float = Field(default=0.3, ge=0.05, le=1.0)
-    """Added to a pin's diameter where a part turns on it."""
-    sweep_clearance_mm: float = Field(default=1.0, ge=0.0, le=10.0)
-    """Clearance between a moving part and anything that it must not touch."""
-    wall_mm: float = Field(default=3.0, ge=0.8, le=10.0)
-    """Wall of a boss around a servo, a horn or a rod."""
-    min_wall_mm: float = Field(default=1.2, ge=0.4, le=5.0)
-    """Thinnest wall that prints well: three lines of a 0.4 mm nozzle. A thinner one is a fault."""
-    min_neck_mm: float = Field(default=8.0, ge=0.0, le=50.0)
-    """Narrowest place of an outline that is strong enough."""
-    fillet_mm: float = Field(default=5.0, ge=0.0, le=20.0)
-    """Radius in the inner corners of an outline; smaller where it does not fit."""
     bed_mm: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (220.0, 220.0, 250.0)
     """Width, depth and height of the printer. Larger parts are split by dovetails."""
-    bed_margin_mm: float = Field(default=5.0, ge=0.0, le=50.0)
-    """Margin along the edges of the bed."""
-    split_clearance_mm: float = Field(default=0.2, ge=0.0, le=1.0)
-    """Clearance between the two sides of a dovetail."""
     infill: float = Field(default=0.45, gt=0.0, le=1.0)
     """Share of the interior that is printed. [P]"""
-    shell_mm: float = Field(default=0.8, ge=0.0, le=5.0)
-    """Solid plastic along every surface: two lines of a 0.4 mm nozzle."""
-    pla_density_g_cm3: float = Field(default=1.24, gt=0.5, le=3.0)
-    """Density of PLA."""
-    steel_density_g_cm3: float = Field(default=7.9, gt=1.0, le=20.0)
-    """Density of the stainless steel rods."""
 
     @field_validator("measured")
     @classmethod
@@ -73,15 +48,6 @@ class KitSettings(Parameters):
     def pin_length_mm(self) -> float:
         """Length of a pin: both layers and the gap."""
         return 2 * self.thickness_mm + self.layer_gap_mm
-
-    def shell_mm3(self, volume_mm3: float, area_mm2: float) -> float:
-        """Return how much of a print's volume is solid plastic along its surface."""
-        return min(volume_mm3, self.shell_mm * area_mm2)
-
-    def printed_g(self, volume_mm3: float, area_mm2: float, infill: float) -> float:
-        """Estimate the mass of a print from its shell and its infill."""
-        shell = self.shell_mm3(volume_mm3, area_mm2)
-        return self.pla_density_g_cm3 * (shell + infill * (volume_mm3 - shell)) / 1000
 
 
 class ThrowingKit(Parameters):
@@ -100,13 +66,11 @@ class ThrowingKit(Parameters):
 
 
 class FabricationSettings(Parameters):
-    """Settings of a kit and its run on the bench, separate from a study's."""
+    """Settings of a kit, separate from a study's."""
 
     kit: KitSettings = KitSettings()
     """Parts, servo and printer."""
     scaling: Scaling = Scaling()
     """Scaling from simulation to bench."""
-    playback: Playback = Playback()
-    """The run on the bench."""
     throwing: ThrowingKit = ThrowingKit()
     """Bars to throw, for `puddle fabricate --throwing-kit`."""

@@ -17,6 +17,7 @@ from tasks.bench.fabrication.built_bodies import RigidPart
 from tasks.bench.fabrication.features import Feature, cradle_features, horn_features, horn_screw, horn_seat_mm, plate_mm
 from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.printing import ROD_CLEARANCE_MM, printed_g
 from tasks.bench.fabrication.profile import Profile, cradle_boss, horn_boss, location, polygon_of
 from tasks.bench.fabrication.servo_joints import ServoJoint
 from tasks.bench.fabrication.splits import MIN_PIECE_MM2, bed_mm, turn_to_fit
@@ -93,7 +94,7 @@ def _pieces(assembly: Assembly, body: RigidPart, side: str) -> list[Part]:
                 side=side,
                 solid=piece,
                 outline=outline,
-                mass_g=settings.printed_g(piece.volume, piece.area, settings.infill),
+                mass_g=printed_g(piece.volume, piece.area, settings.infill),
                 face_down=any(feature.label == "pocket" for feature in features),
                 face_is_up=not assembly.placement(body.index, side)[0],
                 turn_deg=turn_to_fit(outline, bed_mm(settings)) or 0.0,
@@ -131,7 +132,7 @@ def _slice(name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: floa
     ]
     face = boss.faces()[0]
     (solid,) = _cut_out(name, Profile(face, polygon_of(face)), cut, settings.thickness_mm - bottom_mm, 1)
-    return Gauge(name, solid, settings.printed_g(solid.volume, solid.area, settings.infill))
+    return Gauge(name, solid, printed_g(solid.volume, solid.area, settings.infill))
 
 
 def _cut_out(name: str, profile: Profile, features: Sequence[Feature], thickness: float, n_pieces: int) -> list[Solid]:
@@ -214,7 +215,7 @@ def _rod(at: tuple[float, float], diameter: float, low: float, length: float) ->
 
 def plate_of(bar: ThrowingBar, settings: KitSettings) -> Solid:
     """Return the plate of a bar to throw, lying with its centre at the origin and its long axis along y."""
-    thick, diameter = settings.thickness_mm, settings.rod_mm + settings.rod_clearance_mm
+    thick, diameter = settings.thickness_mm, settings.rod_mm + ROD_CLEARANCE_MM
     plate = Solid.make_box(bar.width_mm, bar.length_mm, thick, Plane((-bar.width_mm / 2, -bar.length_mm / 2, 0.0)))
     (whole,) = plate.cut(*(_rod((0.0, sign * bar.rod_at_mm), diameter, 0.0, thick) for sign in (1, -1))).solids()
     return whole

@@ -14,9 +14,10 @@ from shapely import Polygon
 
 from tasks.bench.fabrication.built_bodies import Mechanism, Point
 from tasks.bench.fabrication.kit_error import KitError
-from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.printing import WALL_MM
 from tasks.bench.fabrication.servo_joints import ServoJoint
 
+_FILLETS_MM = (5.0, 2.5, 1.25)  # radii in the inner corners of an outline; the largest that fits is taken
 _ARC_STEP = np.radians(4.0)  # of the polygon's chords; they miss an arc of 20 mm radius by 0.01 mm
 _PROBE_MM = 0.1  # radius around a corner in which the share of the inside is measured
 _INNER_SHARE = 0.55  # above it a corner is an inner one; a smooth transition into an arc has 0.5
@@ -30,7 +31,7 @@ class Profile:
     polygon: Polygon  # the same outline with chords for arcs
 
 
-def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int, settings: KitSettings) -> Profile:
+def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int) -> Profile:
     """Unite the links and bosses of the part with an index and fillet the corners where they meet.
 
     Raises KitError if the union has several pieces.
@@ -48,20 +49,19 @@ def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: i
     if len(faces) != 1:
         raise KitError(f"{mechanism.bodies[body].name}: the links form {len(faces)} pieces, expected 1")
     face = faces[0] if faces[0].normal_at().Z > 0 else -faces[0]
-    if settings.fillet_mm > 0:
-        for corner, room in _inner_corners(face).items():
-            *larger, least = (settings.fillet_mm / divisor for divisor in (1, 2, 4))
-            sizes = (*(size for size in larger if size <= room), least)
-            face = next((f for size in sizes if (f := _filleted(face, corner, size)) is not None), face)
+    for corner, room in _inner_corners(face).items():
+        *larger, least = _FILLETS_MM
+        sizes = (*(size for size in larger if size <= room), least)
+        face = next((f for size in sizes if (f := _filleted(face, corner, size)) is not None), face)
     return Profile(face, polygon_of(face))
 
 
 def cradle_boss(servo_joint: ServoJoint) -> Sketch:
     """Draw the outline of a servo's cradle, in place."""
-    servo, wall = servo_joint.servo, servo_joint.settings.wall_mm
+    servo = servo_joint.servo
     middle = servo_joint.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
-    length = servo.ear_length_mm + 2 * (servo_joint.settings.servo_clearance_mm + wall)
-    return location(middle, servo_joint.angle) * RectangleRounded(length, servo_joint.cradle_width_mm, wall)
+    length = servo.ear_length_mm + 2 * (servo_joint.settings.servo_clearance_mm + WALL_MM)
+    return location(middle, servo_joint.angle) * RectangleRounded(length, servo_joint.cradle_width_mm, WALL_MM)
 
 
 def horn_boss(servo_joint: ServoJoint) -> Sketch:

@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.bench.fabrication.built_bodies import Mechanism, Point, swept
 from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.printing import ROD_CLEARANCE_MM, SWEEP_CLEARANCE_MM, WALL_MM
 from tasks.bench.fabrication.servo_joints import ServoJoint
 
 _MIN_SPREAD_MM = 15.0  # closer rods hardly prevent twisting and count as one
@@ -69,13 +70,13 @@ def _room(
 ) -> BaseGeometry:
     """Return the area in which the middle of a part's rod may lie."""
     radius = settings.rod_mm / 2
-    margin = radius + settings.rod_clearance_mm / 2 + settings.wall_mm
+    margin = radius + ROD_CLEARANCE_MM / 2 + WALL_MM
     room = outlines[body].buffer(-margin).difference(keep_out(servo_joints, body).buffer(margin))
     if outer[body]:
         for other in mechanism.bodies:
             if not outer[other.index] and not room.is_empty:
                 way = swept(outlines[other.index], mechanism.poses_in_range(body, other.index))
-                room = room.difference(way.buffer(radius + settings.sweep_clearance_mm))
+                room = room.difference(way.buffer(radius + SWEEP_CLEARANCE_MM))
     return room
 
 

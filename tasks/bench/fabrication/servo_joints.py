@@ -25,6 +25,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.bench.fabrication.built_bodies import Mechanism, Point, TurningJoint, swept
 from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.printing import WALL_MM
 from tasks.bench.fabrication.servos import Horn, Sense, Servo
 
 _HIT_COST = 10.0  # per mm² of a boss in the way of another part, where 1 mm² outside its own part costs 1
@@ -79,20 +80,17 @@ class ServoJoint:
         """Notches in the pocket's walls at both ends of the servo."""
         near, far = self._ends(self._ear_mm)
         half = (self.servo.cable_width_mm + _CABLE_CLEARANCE_MM) / 2
-        return [
-            self.rectangle((near - self.settings.wall_mm, near), half),
-            self.rectangle((far, far + self.settings.wall_mm), half),
-        ]
+        return [self.rectangle((near - WALL_MM, near), half), self.rectangle((far, far + WALL_MM), half)]
 
     @property
     def cradle(self) -> BaseGeometry:
         """The pocket with its walls."""
-        return self.pocket.buffer(self.settings.wall_mm)
+        return self.pocket.buffer(WALL_MM)
 
     @property
     def cradle_width_mm(self) -> float:
         """Width of the cradle across the servo."""
-        return self.servo.width_mm + 2 * (self.settings.servo_clearance_mm + self.settings.wall_mm)
+        return self.servo.width_mm + 2 * (self.settings.servo_clearance_mm + WALL_MM)
 
     @property
     def recess_radius_mm(self) -> float:
@@ -107,7 +105,7 @@ class ServoJoint:
     @property
     def seat_radius_mm(self) -> float:
         """Radius of the recess with its wall."""
-        return self.recess_radius_mm + self.settings.wall_mm
+        return self.recess_radius_mm + WALL_MM
 
     @property
     def seat(self) -> BaseGeometry:

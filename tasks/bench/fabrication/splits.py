@@ -13,7 +13,10 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.bench.fabrication.built_bodies import Mechanism
 from tasks.bench.fabrication.kit_settings import KitSettings
+from tasks.bench.fabrication.printing import WALL_MM
 
+CLEARANCE_MM = 0.2  # between the two sides of a dovetail
+_BED_MARGIN_MM = 5.0  # along the edges of the bed
 _STEP_MM = 3.0  # between the cuts tried along a link
 _MAX_CUTS = 12  # more than any design of six links needs on a bed of 100 mm
 _MAX_LENGTH = 1.3  # of a cut, in widths of the link; a longer one runs into another link
@@ -36,7 +39,7 @@ class Split:
 def bed_mm(settings: KitSettings) -> tuple[float, float]:
     """Return the width and depth of the bed without its margins."""
     width, depth, _ = settings.bed_mm
-    return (width - 2 * settings.bed_margin_mm, depth - 2 * settings.bed_margin_mm)
+    return (width - 2 * _BED_MARGIN_MM, depth - 2 * _BED_MARGIN_MM)
 
 
 def turn_to_fit(shape: BaseGeometry, bed: tuple[float, float]) -> float | None:
@@ -76,16 +79,14 @@ def _best_cut(
 ) -> tuple[BaseGeometry, list[Polygon]] | None:
     """Find the cut whose larger half is smallest."""
     best, least = None, np.inf
-    clear = keep_off.buffer(settings.wall_mm)
+    clear = keep_off.buffer(WALL_MM)
     for link in mechanism.bodies[body].links:
         width, height = mechanism.link_size[link]
         (x, y), angle = mechanism.link_centre[link], mechanism.link_angle[link]
         for along in np.arange(-height / 2 + _STEP_MM, height / 2, _STEP_MM):
             chord = _chord(piece, (x - sin(angle) * along, y + cos(angle) * along), angle, width)
             for flip in (1, -1) if chord else ():
-                cut = _dovetail(chord, flip).buffer(
-                    settings.split_clearance_mm / 2, join_style="mitre", cap_style="flat"
-                )
+                cut = _dovetail(chord, flip).buffer(CLEARANCE_MM / 2, join_style="mitre", cap_style="flat")
                 halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > MIN_PIECE_MM2]
                 if len(halves) != 2 or cut.intersects(clear):
                     continue

@@ -12,6 +12,7 @@ from math import pi, sqrt
 
 from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings, ThrowingKit
+from tasks.bench.fabrication.printing import ROD_CLEARANCE_MM, WALL_MM, infill_of, printed_g, rod_g
 
 _LEAST_INFILL, _INFILL_STEP = 0.1, 0.01  # that print well; that slicers take
 _TAG_SHARES = (0.75, 0.375)  # of a bar's width and length that a tag takes, so that white paper surrounds both tags
@@ -48,29 +49,26 @@ def _bar(length_scale: float, throwing: ThrowingKit, settings: KitSettings, flui
     scale, thick = settings.scale_mm_per_m, settings.thickness_mm
     length, width = scale * length_scale, scale / length_scale
     name = f"bar-{length:.0f}"
-    bore = settings.rod_mm + settings.rod_clearance_mm
+    bore = settings.rod_mm + ROD_CLEARANCE_MM
     gyration = sqrt((width**2 + length**2) / 12)
-    if min(width, length - 2 * gyration) < bore + 2 * settings.wall_mm:
+    if min(width, length - 2 * gyration) < bore + 2 * WALL_MM:
         raise KitError(
             f"{name}: {width:.0f} × {length:.0f} mm is too small for rods of {settings.rod_mm:g} mm: expected thinner "
             f"rods (kit.rod_mm), a larger scale (kit.scale_mm_per_m), or another length (throwing.lengths)"
         )
     mass = throwing.density_ratio * fluid_density * 2 * thick * width * length * 1e-6
-    rod_area = pi * settings.rod_mm**2 / 4
-    rods = 2 * settings.steel_density_g_cm3 * rod_area * (settings.pitch_mm + thick) / 1000
+    rods = 2 * rod_g(settings.rod_mm, settings.pitch_mm + thick)
     bores = 2 * pi * bore**2 / 4
     volume = (width * length - bores) * thick
     surface = 2 * (width * length - bores) + 2 * (width + length + pi * bore) * thick
-    shell = settings.shell_mm3(volume, surface)
-    needed = (mass - rods) / 2 / (settings.pla_density_g_cm3 / 1000)
-    infill = round((needed - shell) / (volume - shell) / _INFILL_STEP) * _INFILL_STEP
+    infill = round(infill_of((mass - rods) / 2, volume, surface) / _INFILL_STEP) * _INFILL_STEP
     if not _LEAST_INFILL <= infill <= 1:
         weight, rods_of = ("heavy", "thinner") if infill < _LEAST_INFILL else ("light", "thicker")
         raise KitError(
             f"{name}: too {weight} at any infill: it needs {infill:.0%}, expected {_LEAST_INFILL:.0%} to 100%. Use "
             f"{rods_of} rods (kit.rod_mm), another kit.thickness_mm or another throwing.density_ratio"
         )
-    plate = settings.printed_g(volume, surface, infill)
+    plate = printed_g(volume, surface, infill)
     tag = min(_TAG_SHARES[0] * width, _TAG_SHARES[1] * length, _LARGEST_TAG_MM)
     return ThrowingBar(
         name=name,

@@ -8,28 +8,19 @@ ends at rest, without a jump in angle, speed or acceleration.
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 
 from tasks.arrays import Float64
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
 from tasks.design import Designs
 from tasks.design.gait import gaits_of, sine, swing
-from tasks.parameters import Parameters
 
+DURATION = 150.0  # of a run on the bench, ramps included [s]; paper, "Physical Validation"
+RAMP = 2.0  # of the rise from rest, and of the return to it [s]
 FRAME_RATE_HZ = 50.0  # frames per second; an analogue servo reads one pulse every 20 ms
 
 
 class TimelineError(ValueError):
     """A timeline is invalid, or its servos can't play it. The message names the joint, the time and the limit."""
-
-
-class Playback(Parameters):
-    """Duration and ramps of a run on the bench."""
-
-    duration: float = Field(default=150.0, ge=0.1, le=3600.0)
-    """Duration of the run including ramps [s]; at least 5 frames. [P]"""
-    ramp: float = Field(default=2.0, gt=0.0, le=60.0)
-    """Duration of the rise from rest, and of the return to it [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +65,16 @@ def driven_joints(design: Designs) -> tuple[int, ...]:
     return tuple(int(joint) for joint in np.flatnonzero(design.motor_on[0]) if joint > 0)
 
 
-def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Timeline:
+def timeline_of(design: Designs, *, time_scale: float, duration: float = DURATION, ramp: float = RAMP) -> Timeline:
     """Sample the motor commands of one design's controller, with ``time_scale`` bench seconds per simulated second.
 
     Raises TimelineError if no motor is on.
     """
     joints = driven_joints(design)
-    n_frames = round(playback.duration * FRAME_RATE_HZ) + 1
+    n_frames = round(duration * FRAME_RATE_HZ) + 1
     time = np.arange(n_frames) / FRAME_RATE_HZ
     periods = design.frequency[0] * time[:, None] / time_scale
-    rise = envelope(time, duration=time[-1], ramp=playback.ramp)
+    rise = envelope(time, duration=time[-1], ramp=ramp)
     angle = swing(gaits_of(design)[:, 0, list(joints)], periods, sine)
     return Timeline(joints=joints, angle=rise[:, None] * angle)
 

@@ -21,7 +21,7 @@ from pipeline.results.recorded_study import open_study
 from pipeline.store.design_file import design_json
 from tasks.analysis.built_run import RunComparison, SteadyRun, steady_speed
 from tasks.bench.fabrication.kit_settings import FabricationSettings, ThrowingKit
-from tasks.bench.fabrication.timeline import Playback
+from tasks.bench.fabrication.timeline import RAMP
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush, Slush, TrueSlush, froude_time
 
@@ -45,7 +45,7 @@ def robot(crane):
 def run(robot, tmp_path_factory):
     """A folder with the kit, the tracks of its simulation at bench scale, and its speed [m/s]."""
     folder = tmp_path_factory.mktemp("run")
-    choices = FabricationSettings(playback=Playback(duration=10.0))
+    choices = FabricationSettings()
     files = {"design.json": design_json(robot)}
     simulated = {
         "depth": 2.0,
@@ -191,7 +191,7 @@ def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, t
     camera = TankCamera(width=800, height=592, field=0.82, distance=1.1, rate=12, exposure=0.004)
     video, seconds, period = tmp_path / "run.mp4", 6.2, TIME / 0.2
     truth = film_run(video, TankScene(camera, markers), read_kit(folder / "kit"), seconds, slower=0.5)
-    steady = (truth["throw"] == 0) & (truth["time"] >= 1.0 + Playback().ramp)  # the servos begin after a second
+    steady = (truth["throw"] == 0) & (truth["time"] >= 1.0 + RAMP)  # the servos begin after a second
 
     kit = predicting(run, tmp_path, speed, 0.1 * speed)
     code, said, _ = compared(run, tmp_path, capsys, "--markers", tmp_path / "markers.yaml", tracks=video, kit=kit)

@@ -35,9 +35,9 @@ def load(**changes: float) -> JointLoad:
     ],
 )
 def test_loads(load, severity, said):
-    found = list(check_loads([load], SERVO))
-    assert [one.severity for one in found] == ([severity] if severity else [])
-    assert all(one.where == "joint 2" and said in one.message for one in found)
+    findings = list(check_loads([load], SERVO))
+    assert [finding.severity for finding in findings] == ([severity] if severity else [])
+    assert all(finding.where == "joint 2" and said in finding.message for finding in findings)
 
 
 @pytest.mark.parametrize(
@@ -50,8 +50,8 @@ def test_loads(load, severity, said):
     ],
 )
 def test_floating(draught, sealed, flooded, said):
-    found = list(check_floating(Floating(1.0, 2e-3, sealed, flooded, draught, 400.0), 150.0))
-    assert len(found) == (said is not None) and all(said in message for message in found)
+    messages = list(check_floating(Floating(1.0, 2e-3, sealed, flooded, draught, 400.0), 150.0))
+    assert len(messages) == (said is not None) and all(said in message for message in messages)
 
 
 def test_the_run_and_the_floating_of_a_kit(crane, kit, settings):

@@ -12,7 +12,6 @@ import pytest
 import trimesh
 from build123d import import_step
 
-from pipeline.bench.fabrication.assembly_drawing import assembly_drawing
 from pipeline.bench.fabrication.exports import exports
 
 ROOT = Path(__file__).parents[4]
@@ -22,7 +21,7 @@ MESHED = 2e-3
 
 @pytest.fixture(scope="module")
 def files(kit):
-    return exports(kit, title="Crane", n_faults=0)
+    return exports(kit, title="Crane")
 
 
 def test_stl_is_watertight_lies_on_the_bed_and_has_the_part_s_volume(kit, files):
@@ -48,7 +47,7 @@ def test_step_keeps_volume_and_place(kit, files, tmp_path):
     (tmp_path / "robot.step").write_bytes(files["robot.step"])
     solids = import_step(tmp_path / "robot.step").solids()
     assert len(solids) == len(kit.parts) + len(kit.bought)
-    expected = sum(one.solid.volume for one in (*kit.parts, *kit.bought))
+    expected = sum(thing.solid.volume for thing in (*kit.parts, *kit.bought))
     assert sum(s.volume for s in solids) == pytest.approx(expected, rel=1e-6)
     for name in ("part-1-left", "servo of joint 2, left", "rod 1 of part 2"):
         assert name.encode() in files["robot.step"]
@@ -76,8 +75,6 @@ def test_the_drawing_shows_joints_angles_and_dimensions(kit, files):
     for extent in bounds.max(axis=0)[2:] - bounds.min(axis=0)[:2]:
         assert f"{extent:.1f}" in text
     assert b"/MediaBox [ 0 0 1190.55" in files["drawing.pdf"]  # 420 mm
-    assert "fault" not in text
-    assert "11 faults found" in text_of(assembly_drawing(kit, kit.parts[0].solid, "Crane", 11)["svg"])
     assert len(ElementTree.fromstring(files["robot.svg"]).findall(".//{*}path")) > 100
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 
@@ -12,8 +10,11 @@ import pytest
 from command_line import call
 from PIL import Image
 
+from pipeline.bench.fabrication.throwing_kit import starts_of
 from pipeline.bench.vision.markers_file import Markers
 from pipeline.config.loading import load
+from tasks.bench.fabrication.kit_settings import KitSettings, ThrowingKit
+from tasks.bench.fabrication.throwing_bars import throwing_bars
 
 
 @pytest.fixture(scope="module")
@@ -30,20 +31,19 @@ def test_every_file_is_there_and_every_link_leads_somewhere(kit):
     assert held == {*manifest["files"], "throwing-kit.json"}
     page = (kit / "index.html").read_text()
     links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
-    assert len(links) >= 10 and links <= held
+    assert len(links) >= 8 and links <= held
     pdf = (kit / "tags.pdf").read_bytes()
     assert pdf.count(b"/Type /Page\n") == len(list(kit.glob("*.png"))) and b"/MediaBox [ 0 0 595.2" in pdf  # 210 mm
-    rows = list(csv.DictReader(io.StringIO((kit / "bars.csv").read_text())))
-    assert [row["mass_g"] for row in rows] == ["196.0"] * 4
 
 
-def test_throws_are_spread_over_what_bars_and_tank_allow(kit):
-    throws = list(csv.DictReader(io.StringIO((kit / "throws.csv").read_text())))
-    bars = {row["name"] for row in csv.DictReader(io.StringIO((kit / "bars.csv").read_text()))}
-    heights = [float(row["y_mm"]) for row in throws]
-    assert len(throws) == 64 and {row["bar"] for row in throws} == bars
-    assert -150 <= min(heights) < -130 and 100 < max(heights) <= 120  # as far as the tank's tags reach
-    assert 0.9 < max(float(row["vx_m_s"]) for row in throws) < 1.6
+def test_throws_are_spread_over_what_bars_and_tank_allow():
+    bars = throwing_bars(ThrowingKit(), KitSettings(), 1000.0)
+    throws = starts_of(bars, 0.07, lowest=-0.15, highest=0.12)
+    names, *numbers = zip(*throws, strict=True)
+    heights, _, speeds, *_ = np.array(numbers, dtype=float)
+    assert len(throws) == 64 and set(names) == {bar.name for bar in bars}
+    assert -150 <= heights.min() < -130 and 100 < heights.max() <= 120  # as far as the tank's tags reach
+    assert 0.9 < speeds.max() < 1.6
 
 
 @pytest.mark.parametrize("sheet", ["faces", "tags", "board"])
@@ -56,18 +56,18 @@ def test_printed_tags_have_the_size_that_the_markers_file_says(kit, sheet):
     per_mm = 300 / 25.4
     size = {tag.number: tag.size for bar in (*markers.bars, *markers.robot.bars()) for tag in bar.tags}
     size |= {tag.number: markers.tank.tag_size for tag in markers.tank.corners}
-    found = find_tags(markers, np.array(picture.convert("L")), sheet)
+    seen = find_tags(markers, np.array(picture.convert("L")), sheet)
     expected = {
         "faces": {tag.number for bar in markers.bars for tag in bar.tags},
         "tags": {tag.number for tag in markers.tank.corners} | set(range(20, 26)),
         "board": set(),
     }
-    assert found.keys() == expected[sheet]
-    for number, corners in found.items():
+    assert seen.keys() == expected[sheet]
+    for number, corners in seen.items():
         edges = np.linalg.norm(np.roll(corners, 1, axis=0) - corners, axis=1) / per_mm
         assert edges == pytest.approx(np.full(4, 1000 * size[number]), abs=0.2), number
     for bar in markers.bars if sheet == "faces" else ():
-        up, down = (found[tag.number].mean(axis=0) for tag in bar.tags)
+        up, down = (seen[tag.number].mean(axis=0) for tag in bar.tags)
         assert (down - up) / per_mm == pytest.approx((0, 1000 * (bar.tags[0].along - bar.tags[1].along)), abs=0.1)
 
 

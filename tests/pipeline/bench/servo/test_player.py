@@ -81,10 +81,10 @@ def test_a_timeline_from_rest_to_rest(plug, calibration, wanted, clock, tmp_path
         np.testing.assert_allclose(sent, wanted[:, column], rtol=0, atol=0.125 + 1e-9)
         # The controller limits the rate less than the host, so it never lags behind.
         assert fake.speeds[servo.channel] * 25.0 >= servo.max_rate_us
-        own = [row for row in rows if row["channel"] == str(servo.channel)]
-        assert [float(row["sent"]) for row in own if row["sent"]] == fake.pulses(servo.channel)  # down to 0: off
-        assert [float(row["wanted"]) for row in own if row["frame"]] == wanted[:, column].tolist()
-        assert sum(row["event"] == "position" and float(row["position"]) > 0 for row in own) > 50
+        logged = [row for row in rows if row["channel"] == str(servo.channel)]
+        assert [float(row["sent"]) for row in logged if row["sent"]] == fake.pulses(servo.channel)  # down to 0: off
+        assert [float(row["wanted"]) for row in logged if row["frame"]] == wanted[:, column].tolist()
+        assert sum(row["event"] == "position" and float(row["position"]) > 0 for row in logged) > 50
     assert (np.diff([float(row["time"]) for row in rows]) >= 0).all()
 
 

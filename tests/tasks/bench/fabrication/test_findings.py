@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from shapely import unary_union
 
+from tasks.bench.fabrication import checks
 from tasks.bench.fabrication.assembly import Assembly, assemble
 from tasks.bench.fabrication.built_bodies import moved
 from tasks.bench.fabrication.checks import KitFinding, findings_of
@@ -15,6 +16,7 @@ from tasks.bench.fabrication.kit import build_kit
 from tasks.bench.fabrication.kit_error import KitError
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.parts import mesh_of, on_bed
+from tasks.bench.fabrication.splits import CLEARANCE_MM
 from tasks.design import N_LINKS, DesignError, Designs
 
 SETTINGS = KitSettings()
@@ -42,7 +44,7 @@ def with_genes(design: Designs, **genes) -> Designs:
     return replace(design, **{name: np.asarray(value) for name, value in genes.items()})
 
 
-def found(assembly: Assembly, words: str) -> list[KitFinding]:
+def findings_that_say(assembly: Assembly, words: str) -> list[KitFinding]:
     return [finding for finding in findings_of(assembly) if words in finding.message]
 
 
@@ -65,31 +67,31 @@ def test_a_sound_robot_has_no_fault(kit):
 )
 def test_a_finding(crane, genes, settings, severity, where, said):
     robot = assemble(with_genes(crane, **genes), SETTINGS.model_copy(update=settings))
-    findings = found(robot, said)
+    findings = findings_that_say(robot, said)
     assert where in [finding.where for finding in findings] and {finding.severity for finding in findings} == {severity}
-    assert bool(found(robot, "No cut across a link")) == ("bed_mm" in settings)
+    assert bool(findings_that_say(robot, "No cut across a link")) == ("bed_mm" in settings)
 
 
-def test_walls_and_necks(crane, kit):
+def test_walls_and_necks(crane, kit, monkeypatch):
     # From an ear's screw, 28.3 / 2 from the servo's middle, to the case's opening, 22.8 / 2 + 0.3, less the pilot.
     wall = 28.3 / 2 - 22.8 / 2 - 0.3 - 0.85 * 2.0 / 2
     # Links 2 and 3 overlap in a square of 17.5: its diagonal, and twice what a fillet of radius 5 adds in its corners.
     neck = 17.5 * sqrt(2) + 2 * 5 * (sqrt(2) - 1)
     walled = assemble(crane, SETTINGS.model_copy(update={"servo": "mg90s"}))
     for robot, limit, least, n, said in (
-        (walled, "min_wall_mm", wall - 0.01, 0, f"{wall:.2f} mm between case"),
-        (walled, "min_wall_mm", wall + 0.01, 2, f"{wall:.2f} mm between case"),
-        (kit, "min_neck_mm", neck - 0.3, 0, "at its narrowest"),
-        (kit, "min_neck_mm", neck + 0.3, 2, "at its narrowest"),
+        (walled, "MIN_WALL_MM", wall - 0.01, 0, f"{wall:.2f} mm between case"),
+        (walled, "MIN_WALL_MM", wall + 0.01, 2, f"{wall:.2f} mm between case"),
+        (kit, "_MIN_NECK_MM", neck - 0.3, 0, "at its narrowest"),
+        (kit, "_MIN_NECK_MM", neck + 0.3, 2, "at its narrowest"),
     ):
-        limited = replace(robot, settings=robot.settings.model_copy(update={limit: least}))
-        assert len(found(limited, said)) == n
+        monkeypatch.setattr(checks, limit, least)
+        assert len(findings_that_say(robot, said)) == n
 
 
 def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane, kit):
     small = SETTINGS.model_copy(update={"bed_mm": (120.0, 120.0, 200.0)})
     cut = build_kit(crane, small)
-    assert not found(cut, "the usable bed")
+    assert not findings_that_say(cut, "the usable bed")
     whole = {part.name: part.solid.volume for part in kit.parts}
     for body, split in enumerate(cut.splits):
         assert split.fits and len(split.pieces) > 1
@@ -101,7 +103,7 @@ def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane, kit):
             assert lost == pytest.approx(25 * gap.area, rel=1e-4)  # the outline's arcs are chords there
             assert all((on_bed(p, mesh_of(p.solid)).vertices.max(axis=0) <= [110, 110, 26]).all() for p in pieces)
         for a, b in pairwise(split.pieces):
-            assert a.distance(b) >= small.split_clearance_mm - 1e-6
+            assert a.distance(b) >= CLEARANCE_MM - 1e-6
         # The dovetail holds: the pieces collide when pulled apart along the link.
         pulled = [np.array([1, 0, 0, 1, dx, dy]) for dx, dy in ((2, 0), (-2, 0), (0, 2), (0, -2))]
         pairs = [(a, b) for a in split.pieces for b in split.pieces if a is not b]

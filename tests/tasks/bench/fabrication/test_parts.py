@@ -12,6 +12,7 @@ from tasks.bench.fabrication.built_bodies import Pose, mechanism_of, moved
 from tasks.bench.fabrication.kit import Kit, build_kit
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.bench.fabrication.parts import mesh_of, on_bed
+from tasks.bench.fabrication.printing import SWEEP_CLEARANCE_MM, WALL_MM
 
 SETTINGS = KitSettings()
 LINK = 140.0 * 35.0
@@ -97,12 +98,12 @@ def test_rods_reach_both_copies_and_clear_the_sweeping_parts(kit):
         assert len(rods) == 2
         for rod in rods:
             wall = kit.profiles[body].polygon.boundary.distance(Point(rod)) - 1.55
-            assert wall > SETTINGS.wall_mm - 0.01
+            assert wall > WALL_MM - 0.01
             for other in kit.mechanism.bodies:
                 if kit.layers.outer[body] and not kit.layers.outer[other.index]:
                     for pose in kit.mechanism.poses_in_range(body, other.index):
                         gap = moved(kit.profiles[other.index].polygon, pose).distance(Point(rod)) - 1.5
-                        assert gap > SETTINGS.sweep_clearance_mm - 0.01
+                        assert gap > SWEEP_CLEARANCE_MM - 0.01
 
 
 def test_poses_are_those_of_the_design_with_its_joints_turned(crane):

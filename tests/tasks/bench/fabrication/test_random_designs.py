@@ -22,9 +22,9 @@ def variant(rng: np.random.Generator) -> Designs:
         drawn = random_designs(4096, rng)
         on = np.zeros((len(drawn), N_LINKS), dtype=bool)
         on[:, 1:] = rng.permuted(np.tile([True, True, False, False, False], (len(drawn), 1)), axis=1)
-        found = np.flatnonzero(links_apart(replace(drawn, motor_on=on)))  # one in about a thousand
-        if found.size:
-            return replace(drawn, motor_on=on)[[int(found[0])]]
+        apart = np.flatnonzero(links_apart(replace(drawn, motor_on=on)))  # one in about a thousand
+        if apart.size:
+            return replace(drawn, motor_on=on)[[int(apart[0])]]
 
 
 def test_random_designs_of_the_variant_make_valid_closed_parts(torture):

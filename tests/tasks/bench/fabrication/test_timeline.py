@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
-from tasks.bench.fabrication.timeline import Playback, Timeline, TimelineError, envelope, pulses, timeline_of
+from tasks.bench.fabrication.timeline import Timeline, TimelineError, envelope, pulses, timeline_of
 from tasks.design import random_designs
 
 SERVO = {"joint": 1, "channel": 0, "centre_us": 1500.0, "direction": 1, "us_per_rad": 600.0}
@@ -20,16 +20,16 @@ def servo(**changes) -> ServoCalibration:
 
 
 def design(**genes):
-    one = random_designs(1, np.random.default_rng(0))
+    robot = random_designs(1, np.random.default_rng(0))
     on = np.array([[False, True, False, True, False, False]])
-    return replace(one, motor_on=on, **{name: np.asarray(value, dtype=float) for name, value in genes.items()})
+    return replace(robot, motor_on=on, **{name: np.asarray(value, dtype=float) for name, value in genes.items()})
 
 
 def test_the_timeline_is_the_simulated_controller_in_bench_time():
     phase = [[0.0, 0.5, 0.0, 2.0, 0.0, 0.0]]
     amplitude = [[0.0, 0.4, 0.2, 1.2, 0.2, 0.2]]
-    one = design(frequency=[0.25], phase=phase, motion_range=amplitude)
-    made = timeline_of(one, Playback(duration=40.0, ramp=3.0), time_scale=0.5)
+    robot = design(frequency=[0.25], phase=phase, motion_range=amplitude)
+    made = timeline_of(robot, time_scale=0.5, duration=40.0, ramp=3.0)
     assert made.joints == (1, 3) and made.angle.shape == (2001, 2)
     steady = (made.time >= 3.0) & (made.time <= 37.0)
     # A quarter of a turn a second in simulation is half a turn a second on the bench.
@@ -59,8 +59,8 @@ def test_pulses_are_linear_in_the_angle():
     sent = pulses(line, both)
     np.testing.assert_allclose(sent[:, 0], 1500 + 600 * angle[:, 0])
     np.testing.assert_allclose(sent[:, 1], 1520 - 600 * angle[:, 0])
-    for column, one in enumerate(both.servos):
-        assert one.angle(sent[7, column]) == pytest.approx(angle[7, 0])
+    for column, calibrated in enumerate(both.servos):
+        assert calibrated.angle(sent[7, column]) == pytest.approx(angle[7, 0])
 
 
 def test_a_timeline_beyond_a_limit_is_refused_with_joint_time_and_limit():
