@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from pipeline.bench.vision import require_vision
 from pipeline.bench.vision.markers_file import Markers
 from pipeline.bench.vision.track_files import track_videos
 from pipeline.bench.vision.track_video import TrackOptions
@@ -34,6 +33,5 @@ def track(
     with what was found. A throw begins where all tags of a bar are seen inside the rectangle of the tank's corner tags.
     It ends when the bar leaves the rectangle, is not seen for 0.1 s, or rests.
     """
-    require_vision()
     tags = load(Markers, markers, overrides or ())
     to_stdout(*track_videos(videos, tags, out, TrackOptions(lens, slowdown, robot)))
