@@ -23,7 +23,7 @@ from numba.core.compiler import CompileResult
 from numba.core.event import Listener, register
 from numba.core.serialize import dumps
 
-from pipeline.sources import Sources, imported_names, parsed, read_modules
+from pipeline.sources import Sources, imported_names, parsed, reached, read_modules
 from tasks.compiled import KERNELS
 
 _LANES = "tasks.simd.vectors"  # teaches numba what kernels call, without being imported by them
@@ -31,14 +31,8 @@ _LANES = "tasks.simd.vectors"  # teaches numba what kernels call, without being 
 
 def sources_of(modules: Sources, names: set[str]) -> Sources:
     """Select some modules, and those that they import, at any depth."""
-    sources: Sources = {}
-    pending = [*names]
-    while pending:
-        name = pending.pop()
-        if name in modules and name not in sources:
-            sources[name] = modules[name]
-            pending += _imports(modules[name])
-    return sources
+    imported = reached(names, lambda name: _imports(modules[name]) if name in modules else ())
+    return {name: modules[name] for name in imported & modules.keys()}
 
 
 @functools.cache

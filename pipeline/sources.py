@@ -2,7 +2,7 @@
 
 import ast
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 Sources = dict[str, bytes]  # content of modules, by name
@@ -34,3 +34,15 @@ def imported_names(tree: ast.AST) -> Sequence[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
     return names
+
+
+def reached(names: Iterable[str], imports_of: Callable[[str], Iterable[str]]) -> set[str]:
+    """Return some modules and all that they import, at any depth."""
+    known: set[str] = set()
+    pending = [*names]
+    while pending:
+        name = pending.pop()
+        if name not in known:
+            known.add(name)
+            pending += imports_of(name)
+    return known

@@ -14,12 +14,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.extensions import given
-from pipeline.sources import imported_names, parsed, read_modules
+from pipeline.sources import imported_names, parsed, reached, read_modules
 from pipeline.store.manifest import Manifest
 from pipeline.workflow.stage import AnyStage
 
 PACKAGES = ("tasks", "pipeline.stages", "pipeline.report")
 """Packages that make results. What the others write carries a version, or is the same for all stages."""
+
+_DISCOVERY = "tasks.discovery"
 
 
 @functools.cache
@@ -44,17 +46,17 @@ def digests(modules: Sequence[str], files: Mapping[str, bytes]) -> set[str]:
     Imports inside functions count. A package below ``PACKAGES`` is imported with each of its modules, and one that uses
     tasks.discovery imports all of its modules.
     """
-    found: dict[str, str] = {}
-    pending = [*modules]
-    while pending:
-        name = pending.pop()
-        if name in found or name not in files or name in PACKAGES:
-            continue
-        found[name], imports = _parsed(files[name])
-        pending += [name.rpartition(".")[0], *imports]
-        if "tasks.discovery" in imports:
-            pending += [one for one in files if one.startswith(f"{name}.")]
-    return {hashlib.sha256(f"{name} {text}".encode()).hexdigest()[:8] for name, text in found.items()}
+    own = files.keys() - set(PACKAGES)
+
+    def imports_of(name: str) -> Sequence[str]:
+        if name not in own:
+            return ()
+        _, imports = _parsed(files[name])
+        discovered = [module for module in files if module.startswith(f"{name}.")] if _DISCOVERY in imports else []
+        return [name.rpartition(".")[0], *imports, *discovered]
+
+    texts = {name: _parsed(files[name])[0] for name in reached(modules, imports_of) & own}
+    return {hashlib.sha256(f"{name} {text}".encode()).hexdigest()[:8] for name, text in texts.items()}
 
 
 @functools.cache
