@@ -107,7 +107,7 @@ def commit_trials(run: StageRun, folder: Path) -> None:
             def score(_: Designs, generations: Iterator[Float64] = generations, of: SegmentSpec = spec) -> Evaluation:
                 root, whole = np.moveaxis(next(generations), 2, 0)
                 fitness = penalised_mean(root, disagreement_penalty=of.trial.disagreement_penalty)
-                return Evaluation(fitness, root, whole)
+                return Evaluation(fitness, root, whole, scores=root)
 
             inputs = {name: source.read(run.store) for name, source in item.inputs.items()}
             with patch.object(environments, "scorer", lambda *_, score=score: score):  # in place of a simulation

@@ -3,7 +3,10 @@
 import importlib
 import pkgutil
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, MutableMapping
+from typing import TypeVar
+
+EntryT = TypeVar("EntryT")
 
 FAILURES: list[str] = []
 """Files that could not be imported, with what is wrong, in a line each. All but what they register works."""
@@ -16,6 +19,13 @@ def import_extensions(package: str, folder: Iterable[str]) -> None:
             importlib.import_module(module.name)
         except Exception as error:
             FAILURES.append(located(error, module.name, module.name))
+
+
+def register(registry: MutableMapping[str, EntryT], kind: str, name: str, entry: EntryT) -> None:
+    """Add an entry to a registry of its kind; raise ValueError if the name is taken."""
+    if name in registry:
+        raise ValueError(f"{kind} {name!r} is registered twice, expected a name of its own")
+    registry[name] = entry
 
 
 def located(error: Exception, module: str, otherwise: str) -> str:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from tasks import discovery
 from tasks.analysis.study import StudyData
 
 Read = Literal["champions", "populations", "networks", "predictions"]
@@ -49,11 +50,9 @@ ANALYSES: dict[str, Analysis] = {}
 
 def analysis(name: str, **about: Any) -> Callable[[Callable[[StudyData], Any]], Callable[[StudyData], Any]]:
     """Register the function below as the analysis that makes a table; ``about`` are fields of :class:`Analysis`."""
-    if name in ANALYSES:
-        raise ValueError(f"analysis {name!r} is registered twice, expected a name of its own")
 
     def register(compute: Callable[[StudyData], Any]) -> Callable[[StudyData], Any]:
-        ANALYSES[name] = Analysis(name=name, compute=compute, **about)
+        discovery.register(ANALYSES, "analysis", name, Analysis(name=name, compute=compute, **about))
         return compute
 
     return register

@@ -21,6 +21,7 @@ from tasks.arrays import Float64, Int64
 from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.design.genes import DTYPES, N_COLUMNS, DesignTable
 from tasks.design.morphology import Drawn
+from tasks.discovery import register
 from tasks.evolution.objectives import Evaluation
 from tasks.parameters import Parameters
 
@@ -150,9 +151,7 @@ def register_search(search: Search) -> None:
     Raises:
         ValueError: another search has the name.
     """
-    if search.name in SEARCHES:
-        raise ValueError(f"search {search.name!r} is registered twice, expected one search of that name")
-    SEARCHES[search.name] = search
+    register(SEARCHES, "search", search.name, search)
 
 
 def require_search(name: SearchName) -> None:

@@ -5,7 +5,7 @@ same as if it ran alone.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -94,7 +94,7 @@ def evolve(
 
 def _split_by_trial(evaluation: Evaluation, asked: Sequence[Children]) -> list[Evaluation]:
     ends = np.cumsum([len(children.identity) for children in asked])
-    arrays = [np.split(getattr(evaluation, name), ends[:-1]) for name in _RECORDED]
+    arrays = [np.split(getattr(evaluation, field.name), ends[:-1]) for field in fields(Evaluation)]
     return [Evaluation(*of_trial) for of_trial in zip(*arrays, strict=True)]
 
 

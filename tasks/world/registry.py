@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
+from tasks import discovery
 from tasks.parameters import Parameters
 from tasks.world.environment import Environment, Pool
 
@@ -70,9 +71,8 @@ def register(kind: EnvironmentKind) -> None:
     Raises:
         ValueError: the name is taken.
     """
-    if kind.name in _registered:
-        raise ValueError(f"environment {kind.name!r} is registered twice, expected a name of its own")
-    kinds = sorted((*_registered.values(), kind), key=lambda kind: (kind.order, kind.name))
+    discovery.register(_registered, "environment", kind.name, kind)
+    kinds = sorted(_registered.values(), key=lambda kind: (kind.order, kind.name))
     _registered.clear()
     _registered.update({kind.name: kind for kind in kinds})
 

@@ -14,7 +14,9 @@ def long_and_fast(designs: Designs) -> Evaluation:
     displacement = designs.length_scale.sum(axis=1) + np.sin(20 * designs.frequency)
     displacement = np.where(designs.phase[:, 1] < 0.3, np.nan, displacement)[:, None]
     fitness = np.where(np.isfinite(displacement[:, 0]), displacement[:, 0], -np.inf)
-    return Evaluation(fitness=fitness, displacement=displacement, com_displacement=displacement / 2)
+    return Evaluation(
+        fitness=fitness, displacement=displacement, com_displacement=displacement / 2, scores=displacement
+    )
 
 
 def of_trial(generation: int) -> np.random.Generator:

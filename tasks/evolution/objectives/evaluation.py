@@ -1,12 +1,13 @@
 """The registry of objectives, and fitness from the scores of an ensemble. Paper, "Performance Evaluation"."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from tasks.arrays import Float64
+from tasks.discovery import register
 from tasks.simulation import OK, Rollouts
 
 
@@ -52,9 +53,7 @@ def register_objective(objective: Objective) -> None:
     Raises:
         ValueError: another objective has the name.
     """
-    if objective.name in OBJECTIVES:
-        raise ValueError(f"objective {objective.name!r} is registered twice, expected one objective of that name")
-    OBJECTIVES[objective.name] = objective
+    register(OBJECTIVES, "objective", objective.name, objective)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +63,7 @@ class Evaluation:
     fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged, at any depth
     displacement: Float64  # (n_designs, n_members) displacement of the root [m]; NaN where diverged
     com_displacement: Float64  # (n_designs, n_members) the same of the whole robot's centre of mass
-    scores: Float64 = field(default_factory=lambda: np.empty((0, 0)))  # (n_designs, n_members) by the objective
+    scores: Float64  # (n_designs, n_members) by the objective
 
 
 def evaluate(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tasks.arrays import Float32, Floats
-from tasks.discovery import FAILURES
+from tasks.discovery import FAILURES, register
 from tasks.world.medium import LinkStates, Medium
 from tasks.world.physics import Physics
 
@@ -106,8 +106,6 @@ def register_form(form: Form) -> Form:
     Raises:
         ValueError: another form has the name, or its formulas do not fit it.
     """
-    if form.name in FORMS:
-        raise ValueError(f"form {form.name!r} is registered twice, expected one form of that name")
     some = np.ones(1, np.float32)
     inputs = form.read(LinkStates(*[some] * len(fields(LinkStates))))
     if len(inputs) != len(form.inputs):
@@ -115,7 +113,7 @@ def register_form(form: Form) -> Form:
         raise ValueError(f"form {form.name!r}: read returns {len(inputs)} inputs, expected {len(form.inputs)}: {names}")
     if (n := len(form.act([some] * len(form.outputs), inputs))) != N_VELOCITIES:
         raise ValueError(f"form {form.name!r}: act returns {n} changes, expected {N_VELOCITIES}: of vx, vy and omega")
-    FORMS[form.name] = form
+    register(FORMS, "form", form.name, form)
     return form
 
 

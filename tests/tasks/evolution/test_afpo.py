@@ -84,7 +84,7 @@ def test_the_fitter_of_two_is_a_parent_in_tournaments() -> None:
 
 def test_after_a_generation_that_diverged_throughout_evolution_starts_again() -> None:
     afpo = Afpo(population_size=8)
-    diverged = Evaluation(np.full(8, -np.inf), np.full((8, 1), np.nan), np.full((8, 1), np.nan))
+    diverged = Evaluation(np.full(8, -np.inf), *[np.full((8, 1), np.nan)] * 3)
     empty = afpo.tell(EMPTY_POPULATION, afpo.ask(EMPTY_POPULATION, rng(10)), diverged, rng(11))
     assert len(empty.designs) == 0
     children = afpo.ask(empty, rng(12))

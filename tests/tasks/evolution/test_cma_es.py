@@ -18,7 +18,7 @@ def test_it_converges_on_an_optimum_around_the_corner() -> None:
         away = np.where(IS_ANGLE, (away + 0.5) % 1 - 0.5, away)
         away = away + 0.3 * np.roll(away, 1, axis=1)
         fitness = -((away * scales) ** 2).sum(axis=1)
-        return Evaluation(fitness, fitness[:, None], fitness[:, None])
+        return Evaluation(fitness, *[fitness[:, None]] * 3)
 
     population, history = run([150], CmaEs(population_size=16), score=bowl)
     assert population.fitness[0] > -1e-8

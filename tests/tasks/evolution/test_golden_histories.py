@@ -41,7 +41,7 @@ def evolved(kind: str, n_generations: int) -> str:
         children = afpo.ask(population, rng, body=body, morphology=morphology)
         fitness = np.round(rng.normal(size=afpo.population_size) + children.designs.length_scale.sum(axis=1), 1)
         fitness[rng.random(afpo.population_size) < 0.05] = -np.inf
-        population = afpo.tell(population, children, Evaluation(fitness, fitness[:, None], fitness[:, None]), rng)
+        population = afpo.tell(population, children, Evaluation(fitness, *[fitness[:, None]] * 3), rng)
         for array in (
             children.extra["age"],
             children.operator,

@@ -95,7 +95,7 @@ def test_batched_trials_equal_each_alone(search: Optimiser) -> None:
 def test_after_a_generation_that_diverged_throughout_a_search_starts_again(search: Optimiser) -> None:
     def diverge(designs: Designs) -> Evaluation:
         nan = np.full((len(designs), 1), np.nan)
-        return Evaluation(np.full(len(designs), -np.inf), nan, nan)
+        return Evaluation(np.full(len(designs), -np.inf), nan, nan, nan)
 
     empty, _ = run([1], search, score=diverge)
     assert len(empty.designs) == 0
