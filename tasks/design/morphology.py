@@ -21,9 +21,8 @@ from tasks.parameters import Parameters
 
 _TOLERANCE = 1e-9  # overlap that counts as touching [m]: the rounding of positions within some metres
 
-MAX_DRAWS = (
-    1 << 20
-)  # most samples of a design: about 9,000 per random design of pontoon, so all are rejected once in 10^50
+# Most samples of a design: about 9,000 per random design of pontoon, so all are rejected once in 10^50.
+MAX_DRAWS = 1 << 20
 N_INSTANTS = 24  # of a gait's period in which links must be apart
 MAX_BATCH = 4096  # most samples that are drawn together; more overflow the cache
 
