@@ -50,7 +50,9 @@ def required_networks(options: SettingsOptions, settings: Settings, environment:
     try:
         return _networks(settings, options.open_store(), data_set)
     except MissingInputs as missing:
-        raise PuddleError(f"{missing}. `{options.command('study')}` computes it. {_studies(options)}") from None
+        raise PuddleError(
+            f"{missing}. `puddle study` with the same settings computes it. {_studies(options)}"
+        ) from None
 
 
 def _studies(options: SettingsOptions) -> str:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, with_options
+from pipeline.commands.options import DEFAULT_STORE, StorePath, in_store, with_options
 from pipeline.commands.terminal import to_stdout
 from pipeline.config.settings import RecordedSettings
 from pipeline.errors import PuddleError
@@ -26,8 +26,7 @@ def gc(
     remove: Annotated[bool, typer.Option("--remove", help="Remove the garbage; without it, only list it.")] = False,
 ) -> None:
     """List what no study of a store needs, or remove it."""
-    options = StudyOptions(store=store)
-    opened = options.open_store()
+    opened = Store.open(store, create=False)
     with opened.lock_all():
         garbage = find_garbage(opened)
         sizes = {item: opened.item_bytes(*item) for item in garbage}
@@ -43,7 +42,7 @@ def gc(
     elif remove:
         to_stdout(f"Removed: {freed} are free again.")
     else:
-        to_stdout(f"Nothing is removed yet. `{options.command('gc')} --remove` removes it and frees {freed}.")
+        to_stdout(f"Nothing is removed yet. `puddle gc{in_store(store)} --remove` removes it and frees {freed}.")
 
 
 def find_garbage(store: Store) -> list[tuple[str, str]]:

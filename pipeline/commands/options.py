@@ -5,10 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import json
-import os
 import shlex
-import shutil
-import sysconfig
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, is_dataclass
@@ -26,12 +23,11 @@ if TYPE_CHECKING:
     from pipeline.store.store import Store, StudyRecord
 
 _DEFAULT_PRESET = "laptop"
-_STORE_VARIABLE = "PUDDLE_STORE"
 DEFAULT_STORE = Path("store")
 
 
 _A_STUDY = "A study of the store: its recorded settings and results."
-StorePath = Annotated[Path, typer.Option("--store", envvar=_STORE_VARIABLE, help="The folder that holds results.")]
+StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="The folder that holds results.")]
 StudyArgument = Annotated[str, typer.Argument(metavar="NAME", help=_A_STUDY)]
 OptionalStudy = Annotated[str | None, typer.Argument(metavar="[NAME]", help=_A_STUDY)]
 StudyName = Annotated[str | None, typer.Option("--study", metavar="NAME", help=_A_STUDY)]
@@ -55,13 +51,9 @@ Slowdown = Annotated[
 ]
 
 
-def program() -> str:
-    """Return how this installation's command is called from the working folder: `puddle` in an active environment."""
-    own = Path(sysconfig.get_path("scripts")) / "puddle"
-    found = shutil.which("puddle")
-    if not own.exists() or (found is not None and own.samefile(found)):
-        return "puddle"
-    return str(own.relative_to(Path.cwd()) if own.is_relative_to(Path.cwd()) else own)
+def in_store(store: Path) -> str:
+    """Return the option that chooses a store, for a command line to copy; empty for the default one."""
+    return "" if store == DEFAULT_STORE else f" --store {shlex.quote(str(store))}"
 
 
 def output_suffix(out: Path, suffixes: Sequence[str], *, replaces: bool = True) -> str:
@@ -152,25 +144,6 @@ class SettingsOptions:
     def find_store(self) -> Store | None:
         """Open the store if there is one."""
         return self.open_store() if (self.store.expanduser().resolve() / "store.json").exists() else None
-
-    def command(self, name: str) -> str:
-        """Return the command line that runs another command with the same options."""
-        words = [program(), name]
-        words += [self.study] if self.study is not None else []
-        words += ["--preset", self._preset] if self._preset != _DEFAULT_PRESET else []
-        words += ["--settings", str(self.settings_file)] if self.settings_file else []
-        for override in self.overrides or ():
-            words += ["--set", override]
-        words += ["--tracks", str(self.tracks)] if self.tracks else []
-        for extension in self.extensions or ():
-            words += ["--with", str(extension)]
-        if self.store != Path(os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE):
-            words += ["--store", str(self.store)]
-        return shlex.join(words)
-
-    def named(self, study: str) -> SettingsOptions:
-        """Return the options that choose a study of the same store by its name."""
-        return SettingsOptions(study=study, store=self.store)
 
     @property
     def _preset(self) -> str:

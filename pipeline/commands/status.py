@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
-from pipeline.commands.options import AsJson, StudyOptions, program, with_options
+from pipeline.commands.options import AsJson, StudyOptions, with_options
 from pipeline.commands.terminal import print_json, to_stdout
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact
@@ -36,10 +36,10 @@ def status(options: StudyOptions, as_json: AsJson = False) -> None:
         to_stdout(
             "That is the study on record. The settings given differ from it (recorded → given):",
             *(f"  {line}" for line in differences),
-            f"`{options.command('forecast')}` shows what they would need.",
+            "`puddle forecast` with the same options shows what they would need.",
         )
     elif record is None and (names := store.studies()):
-        to_stdout(f"The store has no study {settings.name}, but {', '.join(names)}: `{program()} status NAME`.")
+        to_stdout(f"The store has no study {settings.name}, but {', '.join(names)}: `puddle status NAME`.")
 
 
 @dataclass(frozen=True)

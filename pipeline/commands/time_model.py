@@ -20,11 +20,11 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import AnyStage, Chain, Upstream
+from tasks.design import N_LINKS
 from tasks.residual import Architecture, Training
 from tasks.world import EnvironmentName
 
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
-_LINKS = 6
 _SECONDS_PER_STEP = {"batch": 0.2e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
 _SECONDS_PER_MEMBER_STEP = 0.35e-6  # of one robot under one network, besides the network's arithmetic
 _FLOPS_OF_INFERENCE = 190e9  # per second
@@ -171,7 +171,7 @@ def _rollout(settings: Settings, environment: EnvironmentName) -> float:
         return n_steps * n_members * (_SECONDS_PER_STEP[engine] + in_numpy)
     physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
     flops = environments.network_flops(learner.network)
-    return n_steps * n_members * (physics + _LINKS * flops / _FLOPS_OF_INFERENCE)
+    return n_steps * n_members * (physics + N_LINKS * flops / _FLOPS_OF_INFERENCE)
 
 
 def _flops_of_iteration(network: Architecture, training: Training) -> float:

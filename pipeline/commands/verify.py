@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, with_options
+from pipeline.commands.options import DEFAULT_STORE, StorePath, in_store, with_options
 from pipeline.commands.terminal import INCOMPLETE, to_stdout
 from pipeline.errors import DamagedArtifact
+from pipeline.store.store import Store
 from pipeline.workflow.progress import progress
 
 
@@ -19,8 +20,7 @@ def verify(
     ] = False,
 ) -> None:
     """Hash a store again; name what is damaged."""
-    options = StudyOptions(store=store)
-    opened = options.open_store()
+    opened = Store.open(store, create=False)
     with opened.lock_all() if discard else nullcontext(), progress() as show:
         n_items = len(list(opened.items()))
         with show.stage("verify", total=n_items) as advance:
@@ -33,8 +33,8 @@ def verify(
         return
     to_stdout(*map(str, wrong), f"{opened.root}: {len(wrong)} problems in {n_items:,} items.")
     if damaged and discard:
-        to_stdout(f"What is damaged is discarded: `{options.command('study')}` computes it again.")
+        to_stdout("What is damaged is discarded: `puddle study` computes it again.")
     elif damaged:
-        discarding = f"`{options.command('verify')} --discard`"
-        to_stdout(f"{discarding} removes what is damaged; then `{options.command('study')}` computes it again.")
+        discarding = f"`puddle verify{in_store(store)} --discard`"
+        to_stdout(f"{discarding} removes what is damaged; then `puddle study` computes it again.")
     raise typer.Exit(INCOMPLETE)

@@ -35,22 +35,12 @@ def test_the_table_is_within_a_factor_of_two_of_a_recorded_study():
         assert 0.5 < forecast[stage] / seconds < 2, stage
 
 
-@pytest.mark.parametrize(
-    ("population", "trials", "us_per_step"),
-    [(16, 1, (83, 164)), (16, 4, (22, 41)), (64, 1, (87, 163)), (256, 1, (155, 250))],
-)
-def test_a_medium_in_numpy_costs_what_was_measured(population, trials, us_per_step, monkeypatch):
-    """In a few operations and in those of the slush, all robots of a trial; four trials share their calls."""
-    size = [f"evolution.afpo.population_size={population}", f"grid.n_trials={trials}", "target=flowing_slush"]
-    settings = load(Settings, preset_path("smoke"), [*size, "grid.environments=[flowing_slush]"])
+def test_a_medium_in_numpy_costs_more_than_one_with_a_law(monkeypatch):
+    settings = load(Settings, preset_path("smoke"), ["target=flowing_slush", "grid.environments=[flowing_slush]"])
+    slow = settings.model_copy(update={"work": settings.work.model_copy(update={"engine": "reference"})})
     assert environments.relative_cost(settings, "flowing_slush") == 1  # which has a law
     monkeypatch.setattr(environments, "is_compiled", lambda medium: False)
-    of_numpy = environments.relative_cost(settings, "flowing_slush") * population * 0.2
-    assert us_per_step[0] / 2 < of_numpy < us_per_step[1] * 2
-    forecast = {one.stage: one.core_seconds for one in forecast_stages(settings)}
-    n_steps = trials * 2 * settings.evolution.n_generations * (settings.rollout.n_settle + settings.rollout.n_measure)
-    assert forecast["evolve"] > n_steps * of_numpy * 1e-6
-    slow = settings.model_copy(update={"work": settings.work.model_copy(update={"engine": "reference"})})
+    assert environments.relative_cost(settings, "flowing_slush") > 1
     assert environments.relative_cost(slow, "flowing_slush") == 1  # there the slush is in NumPy, too
 
 
