@@ -2,7 +2,7 @@
 
 from math import isnan
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyArgument, in_store, with_options
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyArgument, to_copy, with_options
 from pipeline.commands.terminal import to_stderr, to_stdout
 from pipeline.errors import PuddleError
 from pipeline.report.render import as_text
@@ -28,5 +28,5 @@ def champions(study: StudyArgument, store: StorePath = DEFAULT_STORE) -> None:
     )
     if n_without := len(opened.settings.trials()) - len(rows):
         to_stdout(f"\n{n_without} of {len(rows) + n_without} trials have no champion yet, or every design diverged.")
-    export_them = f"puddle export {opened.name}{in_store(store)} --out {opened.name}"
+    export_them = to_copy(f"export {opened.name} --out {opened.name}", store)
     to_stdout(f"\n`{export_them}` writes the design file of each.")

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, in_store, with_options
+from pipeline.commands.options import DEFAULT_STORE, StorePath, to_copy, with_options
 from pipeline.commands.terminal import to_stdout
 from pipeline.config.settings import RecordedSettings
 from pipeline.errors import PuddleError
@@ -42,7 +42,7 @@ def gc(
     elif remove:
         to_stdout(f"Removed: {freed} are free again.")
     else:
-        to_stdout(f"Nothing is removed yet. `puddle gc{in_store(store)} --remove` removes it and frees {freed}.")
+        to_stdout(f"Nothing is removed yet. `{to_copy('gc --remove', store)}` removes it and frees {freed}.")
 
 
 def find_garbage(store: Store) -> list[tuple[str, str]]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import functools
 import inspect
 import json
+import os
 import shlex
+import shutil
+import sysconfig
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, is_dataclass
@@ -23,11 +26,12 @@ if TYPE_CHECKING:
     from pipeline.store.store import Store, StudyRecord
 
 _DEFAULT_PRESET = "laptop"
+_STORE_VARIABLE = "PUDDLE_STORE"
 DEFAULT_STORE = Path("store")
 
 
 _A_STUDY = "A study of the store: its recorded settings and results."
-StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="The folder that holds results.")]
+StorePath = Annotated[Path, typer.Option("--store", envvar=_STORE_VARIABLE, help="The folder that holds results.")]
 StudyArgument = Annotated[str, typer.Argument(metavar="NAME", help=_A_STUDY)]
 OptionalStudy = Annotated[str | None, typer.Argument(metavar="[NAME]", help=_A_STUDY)]
 StudyName = Annotated[str | None, typer.Option("--study", metavar="NAME", help=_A_STUDY)]
@@ -51,9 +55,14 @@ Slowdown = Annotated[
 ]
 
 
-def in_store(store: Path) -> str:
-    """Return the option that chooses a store, for a command line to copy; empty for the default one."""
-    return "" if store == DEFAULT_STORE else f" --store {shlex.quote(str(store))}"
+def to_copy(command: str, store: Path) -> str:
+    """Return a command line to copy: with the program as it is found here, and the store unless it is the default."""
+    own, found = Path(sysconfig.get_path("scripts")) / "puddle", shutil.which("puddle")
+    program = "puddle"  # in an active environment
+    if own.exists() and (found is None or not own.samefile(found)):
+        program = shlex.quote(str(own.relative_to(Path.cwd()) if own.is_relative_to(Path.cwd()) else own))
+    is_default = store == Path(os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE)
+    return f"{program} {command}" + ("" if is_default else f" --store {shlex.quote(str(store))}")
 
 
 def output_suffix(out: Path, suffixes: Sequence[str], *, replaces: bool = True) -> str:

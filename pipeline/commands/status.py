@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
-from pipeline.commands.options import AsJson, StudyOptions, with_options
+from pipeline.commands.options import AsJson, StudyOptions, to_copy, with_options
 from pipeline.commands.terminal import print_json, to_stdout
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact
@@ -39,7 +39,8 @@ def status(options: StudyOptions, as_json: AsJson = False) -> None:
             "`puddle forecast` with the same options shows what they would need.",
         )
     elif record is None and (names := store.studies()):
-        to_stdout(f"The store has no study {settings.name}, but {', '.join(names)}: `puddle status NAME`.")
+        asked = to_copy("status NAME", options.store)
+        to_stdout(f"The store has no study {settings.name}, but {', '.join(names)}: `{asked}`.")
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import ExecutionOptions, StudyOptions, in_store, with_options
+from pipeline.commands.options import ExecutionOptions, StudyOptions, to_copy, with_options
 from pipeline.commands.terminal import INCOMPLETE, to_stderr, to_stdout
 from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
@@ -89,7 +90,7 @@ def _run_stages(
             expected_seconds=lambda n: {one.stage: one.seconds(n) for one in forecast_stages(settings, store)},
         )
     if wanted[-1] is STAGES[-1]:
-        _show_headline(settings, upstream, store, in_store(options.store))
+        _show_headline(settings, upstream, store, options.store)
     results = upstream.items()
     failed = [f"{name}: {one.label}: {why}" for name, of in results for one, why in of.failed.items()]
     diverged = [f"{name}: {one.label}: {what}" for name, of in results for one, what in of.diverged.items()]
@@ -105,7 +106,7 @@ def _run_stages(
         raise typer.Exit(INCOMPLETE)
 
 
-def _show_headline(settings: Settings, upstream: Upstream, store: Store, in_this: str) -> None:
+def _show_headline(settings: Settings, upstream: Upstream, store: Store, folder: Path) -> None:
     """Print the champions' displacement at the greatest depth, the page's address, and the commands to try next."""
     depth, objective = max(settings.grid.depths), settings.evolution.maximised
     trials = read_study(settings, upstream, store).trials
@@ -122,9 +123,9 @@ def _show_headline(settings: Settings, upstream: Upstream, store: Store, in_this
     if page.is_file():
         to_stdout(f"Open: {page.as_uri()}")
     commands = {
-        f"puddle champions {settings.name}{in_this}": "rank the champions",
-        f"puddle export {settings.name}{in_this} --out {settings.name}": "take the results out",
-        f"puddle ui {settings.name}{in_this}": "browse runs and curves in MLflow",
+        to_copy(f"champions {settings.name}", folder): "rank the champions",
+        to_copy(f"export {settings.name} --out {settings.name}", folder): "take the results out",
+        to_copy(f"ui {settings.name}", folder): "browse runs and curves in MLflow",
     }
     width = max(map(len, commands))
     to_stdout("Next:", *(f"  {command:<{width}}  {what}" for command, what in commands.items()))

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, in_store, with_options
+from pipeline.commands.options import DEFAULT_STORE, StorePath, to_copy, with_options
 from pipeline.commands.terminal import INCOMPLETE, to_stdout
 from pipeline.errors import DamagedArtifact
 from pipeline.store.store import Store
@@ -35,6 +35,6 @@ def verify(
     if damaged and discard:
         to_stdout("What is damaged is discarded: `puddle study` computes it again.")
     elif damaged:
-        discarding = f"`puddle verify{in_store(store)} --discard`"
+        discarding = f"`{to_copy('verify --discard', store)}`"
         to_stdout(f"{discarding} removes what is damaged; then `puddle study` computes it again.")
     raise typer.Exit(INCOMPLETE)

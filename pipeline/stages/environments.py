@@ -19,6 +19,7 @@ from tasks.design import Designs, random_designs
 from tasks.evolution import OBJECTIVES, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual import Architecture
+from tasks.residual.ensemble import Ensemble
 from tasks.residual.learner import NetworkUse
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
@@ -94,8 +95,6 @@ def environment_of(
 
 def ensemble_of(networks: Mapping[NetworkId, Files]) -> EnsembleMedium:
     """Decode networks as the members of an ensemble."""
-    from tasks.residual.ensemble import Ensemble
-
     members = [
         decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=network.label)
         for network, files in networks.items()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.config.settings import Settings, WorkSettings
-from pipeline.report.page import heroes, robot_address
+from pipeline.report.page import draw_all, heroes, render_page, render_robot, robot_address
 from pipeline.report.render import tables_of, typeset
 from pipeline.report.replay import FILM_FPS
 from pipeline.report.study_page import Curves, StudyPage, ThrowPaths
@@ -125,10 +125,7 @@ def _compute(item: Item[PageItemSpec | DataSpec], inputs: Inputs) -> Files:
 
 def _film(study: StudyReader) -> Files:
     """Make a GIF and an MP4 of the two robots of the first screen."""
-    from pipeline.report.films import (
-        render_gif,
-        render_mp4,
-    )  # Matplotlib takes seconds to import, and only this stage needs it
+    from pipeline.report.films import render_gif, render_mp4  # takes seconds to import
 
     shown = [replay for _, replay in heroes(best_replays(study))]
     if not shown:
@@ -143,8 +140,6 @@ def _film(study: StudyReader) -> Files:
 
 def _page(spec: PageItemSpec, study: StudyReader) -> Files:
     """Draw the page and its figures, and write its tables and the design files of champions."""
-    from pipeline.report.page import draw_all, render_page, render_robot
-
     settings, elites = spec.settings, elite_replays(study)
     page = replace(_study_page(spec, study), replays=[*replays_of(study), *(replay for _, replay in elites)])
     drawings = draw_all(page)

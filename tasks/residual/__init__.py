@@ -1,7 +1,6 @@
 """Residual dynamics, learned from throws. Paper, "Neural Network Training".
 
-This package imports no torch, so that reading a settings file is fast. :mod:`tasks.residual.training` and
-:mod:`tasks.residual.ensemble` do.
+This package imports no torch, so that reading a settings file is fast; :mod:`tasks.residual.training` does.
 """
 
 from tasks.residual.error_report import ErrorRow, error_rows
