@@ -23,7 +23,7 @@ def test_items_that_no_study_needs_are_listed_and_then_removed(options, store, c
     (half / ".history.parquet.tmp").write_bytes(b"half")
     assert call("gc", "--store", str(store.root)) == 0
     said = capsys.readouterr().out
-    assert "items that no study needs" in said and "gc --store" in said
+    assert "items that no study needs" in said and "gc --remove --store" in said
     assert n_items(store) == both and half.exists()
     assert call("gc", "--remove", "--store", str(store.root)) == 0
     assert "MB are free again" in capsys.readouterr().out

@@ -44,7 +44,7 @@ def test_a_study_is_shown_by_its_progress_and_its_table(opened, settings):
     shown, html = repr(opened), opened._repr_html_()
     assert "evolve 16 of 16" in shown and "champions, histories" in shown and len(shown) < 600
     assert html.count("<tr>") == 1 + len(ARMS) and "Residual Slush" in html and "zero-shot [m]" in html
-    assert "Ensemble(2 networks" in repr(opened.ensemble())
+    assert "Ensemble(2 plain networks" in repr(opened.ensemble())
     assert max(len(repr(value)) for value in (opened.record, opened.settings, opened.progress)) < 1500
 
 

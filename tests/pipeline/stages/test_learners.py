@@ -1,5 +1,6 @@
 """A study with learners of its own beside Residual Slush, from the throws to the page, as a user runs it."""
 
+import json
 import re
 from dataclasses import replace
 
@@ -61,7 +62,8 @@ def test_the_page_names_them_in_colours_of_their_own(folder):
 def test_the_robot_to_build_and_the_page_s_commands_are_of_their_own_learner(folder):
     study = puddle.open_study("listed", folder / "store")
     page = (folder / "store" / "studies" / "listed" / "report" / PAGE).read_text()
-    commands = set(re.findall(r'"environment":"(\w+)","command":"(\w*)"', page))
+    replays = json.loads(re.search(r'id="replays">(.*?)</script>', page)[1])
+    commands = {(replay["environment"], replay["command"]) for replay in replays}
     assert {("five", "five"), ("one_of_five", ""), ("residual_slush", "residual_slush")} <= commands
     few = study.settings.grid.model_copy(update={"environments": ("true_slush", "dry_land", "five")})
     source = proposed(replace(study, settings=study.settings.model_copy(update={"grid": few})))
