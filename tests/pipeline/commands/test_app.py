@@ -47,7 +47,7 @@ def check_headline(said: str, page: Path, store: str) -> None:
     assert opened == f"Open: {page.as_uri()}"
     assert max(len(line) for line in (heading, columns, *arms)) <= 80
     advised = [line.strip() for line in said.partition("\nNext:\n")[2].splitlines()]
-    for line, command in zip(advised, ("champions tiny", "export tiny", "ui tiny"), strict=True):
+    for line, command in zip(advised, ("champions tiny", "export tiny --out tiny", "ui tiny"), strict=True):
         assert f"puddle {command} --store {store} " in line
 
 
