@@ -70,7 +70,7 @@ test: $(INSTALLED_DEV) ## check style, format, types and layers, and run the tes
 	$(VENV)/bin/ruff check --quiet .
 	$(VENV)/bin/ruff format --check --quiet .
 	$(VENV)/bin/mypy
-	$(VENV)/bin/python -m pytest --numprocesses 3 --dist loadgroup --no-loadscope-reorder --durations 5 --durations-min 10
+	$(VENV)/bin/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 5 --durations-min 10
 
 torture: $(INSTALLED_DEV) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=5 for each test)
 	$(VENV)/bin/python -m pytest tests/torture tests/pipeline/cluster/test_slurm.py --torture --minutes $(MINUTES)

@@ -34,9 +34,6 @@ MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4e9
 """Room required in memory: ten times what the tests write, and Ray's shared memory."""
 
-EXPENSIVE = ("local_ray", "kit", "tiny", "drawn", "study", "done")
-"""Fixtures of a session that take seconds to make. One process of pytest-xdist runs the tests of each."""
-
 
 def write_to_memory() -> None:
     """Have pytest make its temporary folders in memory if there is room.
@@ -138,7 +135,7 @@ def pytest_configure() -> None:
 
 @pytest.fixture
 def torture(request: pytest.FixtureRequest) -> Torture:
-    return Torture(request.config, request.node.nodeid.partition("@")[0])  # pytest-xdist adds a group
+    return Torture(request.config, request.node.nodeid)
 
 
 # -- the order of tests ----------------------------------------------------------------------------------------------
@@ -148,19 +145,11 @@ def pytest_collection_finish() -> None:
     gc.freeze()  # modules and tests stay: a collection need not look at a million objects each time
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Give tests that share an expensive fixture, or else a file, to one process; the slowest first, so that no process
-    is left with one of them at the end."""
-
-    def shared(item: pytest.Item) -> str | None:
-        return next((fixture for fixture in EXPENSIVE if fixture in item.fixturenames), None)  # type: ignore[attr-defined]
-
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(shared(item) or item.path.stem))
-        if config.getoption("--torture"):
-            item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 600))
-    items.sort(key=lambda item: not (shared(item) or item.get_closest_marker("slow")))
+    """Begin with the slow files, so that no process of pytest-xdist, which runs whole files, ends alone with one."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    for item in items if config.getoption("--torture") else ():
+        item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 600))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
