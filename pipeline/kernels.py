@@ -14,7 +14,7 @@ import os
 import pickle
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +41,16 @@ def _imports(source: bytes) -> list[str]:
 
 
 def kernel_sources(function: Callable[..., Any]) -> Sources:
-    """Return what a kernel is compiled from: the modules of its name and of its code, and their imports."""
-    modules, names = read_modules("tasks"), {function.__module__, function.__globals__["__name__"]}
+    """Return what a kernel is compiled from: the modules of its code and of the laws in it, and their imports."""
+    modules, names = read_modules("tasks"), {name for code in _with_laws(function) for name in code}
     own = {name: inspect.getsource(sys.modules[name]).encode() for name in names - modules.keys()}
     return sources_of(modules | own, names | {_LANES})
+
+
+def _with_laws(function: Any) -> Iterator[tuple[str, str]]:
+    yield function.__module__, function.__globals__["__name__"]
+    if law := function.__globals__.get("LAW"):
+        yield from _with_laws(getattr(law, "py_func", law))
 
 
 def users_folder() -> Path:

@@ -63,11 +63,17 @@ def specialised(template: Any, law: Any, *, seconds: int, **constants: Any) -> C
 
     numba's cache would never find a closure again.
     """
-    own = {**template.__globals__, "LAW": inline(law), **constants}
-    kernel: Any = FunctionType(template.__code__, own)
+    kernel = with_law(template, inline(law), **constants)
     kernel.__module__ = law.__module__
-    kernel.__qualname__ = f"{template.__name__} {law.__qualname__} {law.__code__.co_firstlineno} {constants}"
     return compiled(kernel, seconds=seconds)
+
+
+def with_law(template: Any, law: Any, **constants: Any) -> Any:
+    """Return a function that is a template with globals of its own: a formula as LAW, and constants by name."""
+    function: Any = FunctionType(template.__code__, {**template.__globals__, "LAW": law, **constants})
+    plain = getattr(law, "py_func", law)
+    function.__qualname__ = f"{template.__name__} {plain.__qualname__} {plain.__code__.co_firstlineno} {constants}"
+    return function
 
 
 def uncompiled(error: NumbaError, law: Any) -> str:

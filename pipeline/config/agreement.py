@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from tasks.evolution import OBJECTIVES, SEARCHES
-from tasks.residual.forms import FORMS
+from tasks.residual.forms import form_named
 from tasks.residual.learner import stated
 from tasks.world import ENVIRONMENTS
 
@@ -79,20 +79,26 @@ def _check_learners(settings: Settings) -> None:
         ("transfer.adapted_environments", settings.transfer.adapted_environments or (), known),
         ("evolution.objective", (settings.evolution.objective,), tuple(OBJECTIVES)),
         ("evolution.search", (settings.evolution.search,), tuple(SEARCHES)),
-        ("network.form", (settings.network.form,), tuple(FORMS)),
-        *(
-            (f"learners.{name}.network.form", (one.network.form,), tuple(FORMS))
-            for name, one in settings.learners.items()
-        ),
     ):
         for name in names:
             if name not in allowed:
                 one_medium = "an environment of one medium, " if allowed is media else ""
                 raise ValueError(f"{place}: expected {one_medium}any of {', '.join(allowed)}, got {name!r}")
-    for form in sorted({learner.network.form for learner in simulated.values()}):
-        if settings.target_medium and (why := FORMS[form].objection(settings.target_medium, settings.physics)):
-            own = ", ".join(name for name, learner in simulated.items() if learner.network.form == form)
-            raise ValueError(f"network.form is {form} for {own}, but {settings.target_label} {why}")
+    forms = {f"learners.{name}.": given.network.form for name, given in settings.learners.items()}
+    for place, form_name in {"": settings.network.form, **forms}.items():
+        try:
+            form_named(form_name)
+        except ValueError as error:
+            raise ValueError(f"{place}{error}") from None
+    for name, learner in simulated.items():
+        form, n_throws = form_named(learner.network.form), learner.throws.n_throws
+        if settings.target_medium and (why := form.objection(settings.target_medium, settings.physics)):
+            raise ValueError(f"network.form is {form.name} for {name}, but {settings.target_label} {why}")
+        if n_throws < len(form.constants):
+            raise ValueError(
+                f"throws.n_throws is {n_throws} for {name}, but {form.name} has the constants "
+                f"{', '.join(form.constants)}: expected at least {len(form.constants)}"
+            )
 
 
 def _check_tracks(settings: Settings) -> None:

@@ -26,7 +26,8 @@ from tasks.evolution import (
     SearchName,
 )
 from tasks.parameters import Parameters
-from tasks.residual import FORMS, LEARNERS, Architecture, Learner, LearnerSettings, Throws, Training, arm_kind, in_order
+from tasks.residual import LEARNERS, Architecture, Learner, LearnerSettings, Throws, Training, arm_kind, in_order
+from tasks.residual.forms import form_here
 from tasks.residual.learner import learner_of
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush
 from tasks.world.registry import settings_groups
@@ -350,5 +351,5 @@ class RecordedSettings(Settings, extra="allow"):
     def missing(self) -> list[str]:
         """Names of what is used and has no code."""
         used = {self.target, *self.grid.environments} - {*ENVIRONMENTS, *self.learners}
-        used |= {learner.network.form for learner in self.arm_learners.values()} - {*FORMS}
+        used |= {one.network.form for one in self.arm_learners.values() if not form_here(one.network.form)}
         return sorted(used | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})

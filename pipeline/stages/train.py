@@ -14,13 +14,15 @@ from pipeline.stages.data_sets import NetworkId, network_ids
 from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION
 from pipeline.stages.files import ERRORS, LEARNING, WEIGHTS
 from pipeline.stages.reader import read_transitions
-from pipeline.store.encoding import encode_arrays
+from pipeline.store.encoding import decode_arrays, encode_arrays
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Stage, StoredFiles, Summary, Upstream
 from tasks.residual import Architecture, ErrorRow, Training
+from tasks.residual.forms import form_here
 from tasks.seeding import replicate_seed
+from tasks.world import Physics
 
 if TYPE_CHECKING:
     from tasks.residual.training import TrainedMember  # imports torch
@@ -44,6 +46,7 @@ class MemberSpec:
     seed: int
     network: Architecture
     training: Training  # it names the device: on a GPU the last bits differ, so the networks differ too
+    physics: Physics  # in which the constants of a law are fitted
 
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
@@ -52,7 +55,7 @@ def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
     for network in network_ids(settings):
         learner = ensembles[network.data_set.learner]
         seed = replicate_seed(settings.seed, network.data_set.replicate)
-        spec = MemberSpec(network.index, seed, learner.network, learner.training)
+        spec = MemberSpec(network.index, seed, learner.network, learner.training, settings.physics)
         weight = _cost(learner.network, learner.training) / _cost(settings.network, settings.training)
         chains.append(Chain(network, (spec.training.n_iterations,), spec, weight))
     return chains
@@ -75,8 +78,9 @@ def _compute(item: Item[MemberSpec], inputs: Inputs) -> Files:
     from tasks.residual.training import train_member
 
     spec, transitions = item.spec, read_transitions(throws_among(inputs))
-    trained = train_member(transitions, spec.network, spec.training, seed=spec.seed, member=spec.member)
-    return member_files(trained)
+    return member_files(
+        train_member(transitions, spec.network, spec.training, seed=spec.seed, member=spec.member, physics=spec.physics)
+    )
 
 
 def member_files(trained: "TrainedMember") -> Files:
@@ -111,14 +115,19 @@ def _summarise_member(network: ChainId, items: Sequence[Files]) -> Summary:
             name = f"{component}.{'low_speed' if band != 'all' else 'all'}"
             metrics[f"relative_error.{name}"] = float(errors["relative_error"][row])
             metrics[f"bias.{name}"] = float(errors["bias"][row])
-    return Summary(metrics=metrics)
+    (files,) = items
+    weights = decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=network.label)
+    form = form_here(bytes(weights["form"]).decode())
+    fitted = zip(form.constants, weights["constants"].tolist(), strict=True) if form and form.constants else ()
+    return Summary(metrics=metrics | {f"constant.{name}": value for name, value in fitted})
 
 
 def _error(metrics: Mapping[str, float]) -> str:
     error = f"{metrics['relative_error.vx.all']:.3f}"
-    if math.isnan(slow := metrics["relative_error.vx.low_speed"]):  # no row is that slow
-        return error
-    return f"{error}, slow {slow:.2f} (bias {metrics['bias.vx.low_speed']:+.4f} m/s)"
+    if not math.isnan(slow := metrics["relative_error.vx.low_speed"]):  # else no row is that slow
+        error += f", slow {slow:.2f} (bias {metrics['bias.vx.low_speed']:+.4f} m/s)"
+    fitted = {name: value for name, value in metrics.items() if name.startswith("constant.")}
+    return "; ".join([error, *(f"{name.partition('.')[2]} {value:g}" for name, value in fitted.items())])
 
 
 def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:

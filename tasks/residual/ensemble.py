@@ -44,7 +44,7 @@ class Ensemble:
         )
 
     def __repr__(self) -> str:
-        layers = " → ".join(map(str, (len(self.form.inputs), *(bias.shape[1] for bias in self.biases))))
+        layers = " → ".join(map(str, (self.weights[0].shape[1], *(bias.shape[1] for bias in self.biases))))
         return f"Ensemble({self.n_members} {self.form.name} networks of {layers} units)"
 
     @property
@@ -72,7 +72,7 @@ class Ensemble:
         shape = links.y.shape
         if not shape or shape[0] != self.n_members:
             raise ValueError(f"links of shape {shape}, expected ({self.n_members} members, ...)")
-        inputs = observe(self.form, links).reshape(self.n_members, -1, len(self.form.inputs))
+        inputs = observe(self.form, links).reshape(self.n_members, -1, self.weights[0].shape[1])
         change = velocity_changes(self.form, self.predict(inputs), inputs)
         vx, vy, omega = np.moveaxis(change.astype(links.y.dtype, copy=False), -1, 0)
         return VelocityChange(vx=vx.reshape(shape), vy=vy.reshape(shape), omega=omega.reshape(shape))
@@ -98,7 +98,8 @@ class Ensemble:
 def _folded(member: Mapping[str, Float32]) -> list[tuple[Float32, Float32]]:
     """Fold a member's standardisation into its first and last layers; compute in float64."""
     n_layers = sum(name.startswith("weight_") for name in member)
-    applied = slice(len(_form(member).beside), None)
+    form = _form(member)
+    applied = slice(len(form.beside), None)
     weights, biases = (
         [member[f"{kind}_{i}"].astype(np.float64) for i in range(n_layers)] for kind in ("weight", "bias")
     )
@@ -111,6 +112,11 @@ def _folded(member: Mapping[str, Float32]) -> list[tuple[Float32, Float32]]:
     biases[0] = biases[0] - (observation_mean[:, None] * weights[0]).sum(axis=0)  # in the same order everywhere
     weights[-1] = (weights[-1] * residual_deviation)[:, applied]
     biases[-1] = (biases[-1] * residual_deviation + residual_mean)[applied]
+
+    # The factors of a law are outputs that depend on nothing, and what only it reads are inputs without effect.
+    factors, n_unseen = member.get("factors", np.empty(0)), len(form.unseen)
+    weights[0] = np.pad(weights[0], ((0, n_unseen), (0, 0)))
+    weights[-1], biases[-1] = np.pad(weights[-1], ((0, 0), (0, len(factors)))), np.concatenate((biases[-1], factors))
     return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)]
 
 

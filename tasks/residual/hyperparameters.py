@@ -10,7 +10,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from tasks.parameters import Parameters
-from tasks.residual.forms import FORMS, Form, form_named
+from tasks.residual.forms import Form, form_here, form_named
 from tasks.residual.forms.plain import PLAIN
 
 
@@ -26,20 +26,24 @@ class Architecture(Parameters):
     form: str = "plain"
     """What networks know of links, a file in tasks/residual/forms: nothing [P]; "signed_angle", which way they lean,
     for media that push a tilted plate sideways; or "wetted", which part is under water. The last need several times
-    fewer throws, of a fluid that does not flow: they learn from the mirror image of every throw, too."""
+    fewer throws, of a fluid that does not flow: they learn from the mirror image of every throw, too. "law" fits the
+    constants of the slush and no network, "law_and_network" lets networks learn what that leaves over; the law of
+    another medium is "law:flowing_slush"."""
 
     @property
     def about(self) -> str:
         """What the form is, in a sentence for a page; "" if that is said, or its code is not here."""
-        return FORMS[self.form].about if self.form in FORMS else ""
+        form = form_here(self.form)
+        return form.about if form else ""
 
     @property
     def sizes(self) -> list[int]:
         """Numbers of inputs, of units in each hidden layer, and of outputs in training."""
-        return self._sizes_in(form_named(self.form))
+        form = form_named(self.form)
+        return [len(form.inputs), *self._hidden_of(form), len(form.learned)]
 
-    def _sizes_in(self, form: Form) -> list[int]:
-        return [len(form.inputs), *[self.width] * self.hidden_layers, len(form.learned)]
+    def _hidden_of(self, form: Form) -> list[int]:
+        return [self.width] * self.hidden_layers if form.learned else [1]  # a unit that does nothing, if none learns
 
     @property
     def n_weights(self) -> int:
@@ -47,7 +51,9 @@ class Architecture(Parameters):
 
         A form whose code is not here counts as the paper's.
         """
-        return sum(n_in * n_out for n_in, n_out in pairwise(self._sizes_in(FORMS.get(self.form, PLAIN))))
+        form = form_here(self.form) or PLAIN
+        ends = len(form.inputs) + len(form.unseen), len(form.learned) + form.n_factors
+        return sum(n_in * n_out for n_in, n_out in pairwise([ends[0], *self._hidden_of(form), ends[1]]))
 
 
 class Training(Parameters):

@@ -66,6 +66,8 @@ LEARNERS: Mapping[str, LearnerSettings] = {
     "single_member": LearnerSettings(single="residual_slush"),
     "designed_throws": LearnerSettings(throws=DESIGNED_THROWS),
     "designed_single_member": LearnerSettings(single="designed_throws"),
+    "law": LearnerSettings(network=Architecture(form="law")),
+    "law_and_network": LearnerSettings(network=Architecture(form="law_and_network")),
     TANK_MODEL: LearnerSettings(mean="residual_slush"),
 }
 """The learners of every study. Single ones evolve at grid.single_member_depths."""
@@ -165,6 +167,25 @@ _KINDS: Mapping[str, ArmKind] = {
             symbol="Ê*₁",
             evolved="with a single member learned from designed throws",
             about="Dry Land with a single network that learned from designed throws.",
+            order=6,
+            learned=True,
+        ),
+        ArmKind(
+            name="law",
+            label="Fitted law",
+            symbol="L",
+            evolved="in a law that was fitted to throws",
+            about="Dry Land with the law of a fluid whose constants were fitted to the throws: system identification. "
+            "It knows the kind of fluid, as plain networks do not.",
+            order=6,
+            learned=True,
+        ),
+        ArmKind(
+            name="law_and_network",
+            label="Fitted law and networks",
+            symbol="L + Ê",
+            evolved="in a fitted law and networks",
+            about="Dry Land with a law that was fitted to the throws, and networks that learned what it leaves over.",
             order=6,
             learned=True,
         ),

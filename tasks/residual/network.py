@@ -69,7 +69,7 @@ def initial_weights(sizes: Sequence[int], rng: Generator) -> dict[str, Float32]:
     """
     weights: dict[str, Float32] = {}
     for i, (n_in, n_out) in enumerate(pairwise(sizes)):
-        bound = n_in**-0.5
+        bound = max(n_in, 1) ** -0.5
         weights[f"weight_{i}"] = rng.uniform(-bound, bound, (n_in, n_out)).astype(np.float32)
         weights[f"bias_{i}"] = rng.uniform(-bound, bound, n_out).astype(np.float32)
     return weights

@@ -20,7 +20,7 @@ from tasks.arrays import ArrayData, Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.seeding import generator
-from tasks.simulation.free_links import FreeLinks
+from tasks.simulation.free_links import FreeLinks, link_constants
 from tasks.world import Environment, LinkStates, Medium, Physics, as_environment
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
@@ -108,12 +108,10 @@ class Transitions(ArrayData):
     def __len__(self) -> int:
         return len(self.throw)
 
-    @property
-    def links(self) -> LinkStates:
-        """The links before the steps, each (n_transitions,); mass and inertia are not known."""
+    def links(self, physics: Physics) -> LinkStates:
+        """Return the links before the steps, each (n_transitions,)."""
         _, y, angle, vx, vy, omega = self.state.T
-        unknown = np.full(len(self), np.nan, np.float32)
-        return LinkStates(self.length_scale, unknown, unknown, y, np.cos(angle), np.sin(angle), vx, vy, omega)
+        return LinkStates(*link_constants(self.length_scale, physics), y, np.cos(angle), np.sin(angle), vx, vy, omega)
 
     def __getitem__(self, rows: Bools) -> Self:
         """Select transitions by a mask."""

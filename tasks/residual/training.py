@@ -10,8 +10,9 @@ from typing import Any
 import numba
 import numpy as np
 import torch
+from numpy.random import Generator
 
-from tasks.arrays import Bools, Float32, Float64, Int64
+from tasks.arrays import Bools, Float32, Float64, Floats, Int64
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.error_report import ErrorRow, error_rows
@@ -21,6 +22,7 @@ from tasks.residual.network import Standardisation, initial_weights
 from tasks.residual.throws import MeasuredTransitions, Transitions, precision_weights
 from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
 from tasks.seeding import generator
+from tasks.world import Physics
 
 SMALL = Architecture(hidden_layers=2, width=48)
 QUICK = Training(
@@ -48,11 +50,12 @@ class TrainedMember:
     form: Form
     learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
     validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units
+    law: dict[str, Floats]  # constants and factors of a form that fits some
 
     def arrays(self) -> dict[str, Any]:
-        """Return all that inference needs by name: weights, standardisation, and the name of the form in UTF-8."""
+        """Return all that inference needs by name: weights, standardisation, law, and the form's name in UTF-8."""
         form = np.frombuffer(self.form.name.encode(), np.uint8)
-        return {**self.weights, **asdict(self.standardisation), "form": form}
+        return {**self.weights, **asdict(self.standardisation), **self.law, "form": form}
 
 
 def split_throws(throw: Int64, held_out: float, *, seed: int) -> tuple[Bools, Bools]:
@@ -111,7 +114,13 @@ def learn(
 
 
 def train_member(
-    transitions: Transitions, architecture: Architecture, training: Training, *, seed: int, member: int
+    transitions: Transitions,
+    architecture: Architecture,
+    training: Training,
+    *,
+    seed: int,
+    member: int,
+    physics: Physics | None = None,
 ) -> TrainedMember:
     """Return one network, trained on one CPU thread or one CUDA device.
 
@@ -121,18 +130,35 @@ def train_member(
         training: settings of the training.
         seed: the study's seed; it determines the held-out throws.
         member: index in the ensemble; with the seed, it determines all other randomness.
+        physics: constants of the base simulator, which the fit of a law needs; the paper's by default.
 
     Raises:
         NoDevice: torch finds no CUDA device.
         TrainingDiverged: the loss is not finite.
+        UnfittedLaw: the throws do not determine the constants of a law.
         ValueError: there are fewer than two throws.
     """
     if training.device == "cuda" and not n_cuda_devices():
         built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
         raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
     to_learn, to_validate = map(np.flatnonzero, split_throws(transitions.throw, training.held_out, seed=seed))
-    form = form_named(architecture.form)
-    examples = _examples(transitions, form)
+    form, physics = form_named(architecture.form), physics or Physics()
+    links, residual = transitions.links(physics), transitions.residual[:, -form.n_errors :]
+    read, weights = observe(form, links), np.ones_like(residual)
+    if isinstance(transitions, MeasuredTransitions):  # a camera sees x and y alike, so any other axes, too
+        weights = precision_weights(transitions.residual, transitions.residual_sd)[:, -form.n_errors :]
+
+    def changes_by(outputs: Float32, read: Float32) -> Float32:
+        factors = np.broadcast_to(law.get("factors", np.empty(0)), (len(read), form.n_factors))
+        return velocity_changes(form, np.concatenate((outputs, factors), axis=1).astype(np.float32), read)
+
+    law, left_over = dict[str, Floats](), residual
+    if form.constants:
+        times = _times_drawn(transitions.throw, to_learn, generator(seed, "resample", member))
+        law["constants"], law["factors"] = form.fit(links, residual, weights * times[:, None], physics)
+        left_over = residual - changes_by(np.zeros((len(read), len(form.outputs)), np.float32), read)
+    inputs = read[:, : len(form.inputs)]
+    examples = inputs, form.measured(inputs, left_over), weights
     learned, held_out = (tuple(array[rows] for array in examples) for rows in (to_learn, to_validate))
     learned = symmetric_copies(form, *learned)
     standardisation = Standardisation.of(*learned[:2], standardise_targets=training.standardise_targets)
@@ -143,34 +169,39 @@ def train_member(
         return standardisation.standard_observation(inputs), targets
 
     rng = generator(seed, "member", member)
-    by_torch = training.device == "cuda" or numba.config.DISABLE_JIT
-    descent = (TorchDescent if by_torch else Descent)(
-        initial_weights(architecture.sizes, rng), *standardised(*learned), architecture.dropout, training, rng
-    )
-    validation_set = standardised(*held_out)
-    curve = _learn(descent, *validation_set, training, member)
-    outputs = standardisation.residual(descent.predict(validation_set[0]))
+    trained = initial_weights(architecture.sizes, rng)
+    if form.learned:
+        by_torch = training.device == "cuda" or numba.config.DISABLE_JIT
+        descent = (TorchDescent if by_torch else Descent)(
+            trained, *standardised(*learned), architecture.dropout, training, rng
+        )
+        validation_set = standardised(*held_out)
+        curve = _learn(descent, *validation_set, training, member)
+        trained, outputs = descent.weights(), standardisation.residual(descent.predict(validation_set[0]))
+    else:
+        squared = np.square(left_over / residual.std(axis=0)).mean(axis=1)
+        curve = np.array([[1, squared[to_learn].mean(), squared[to_validate].mean()]])
+        outputs = np.empty((len(to_validate), 0), np.float32)
     beside, acting = np.split(outputs, [len(form.beside)], axis=1)
-    predicted = np.concatenate((beside, velocity_changes(form, acting, held_out[0])), axis=1)
+    predicted = np.concatenate((beside, changes_by(acting, read[to_validate])), axis=1)
 
-    true = transitions.residual[to_validate, -predicted.shape[1] :]
     vx, vy = transitions.state[to_validate, 3], transitions.state[to_validate, 4]
     return TrainedMember(
-        weights=descent.weights(),
+        weights=trained,
         standardisation=standardisation,
         form=form,
         learning_curve=curve,
-        validation=error_rows(predicted, true, np.hypot(vx, vy)),
+        validation=error_rows(predicted, residual[to_validate], np.hypot(vx, vy)),
+        law=law,
     )
 
 
-def _examples(transitions: Transitions, form: Form) -> tuple[Float32, Float32, Float32]:
-    """Return inputs, changes in the units of a form's outputs, and weights of squared errors."""
-    residual, inputs = transitions.residual, observe(form, transitions.links)
-    weights = np.ones_like(residual)
-    if isinstance(transitions, MeasuredTransitions):  # a camera sees x and y alike, so any other axes, too
-        weights = precision_weights(residual, transitions.residual_sd)
-    return inputs, form.measured(inputs, residual[:, -form.n_errors :]), weights[:, -form.n_errors :]
+def _times_drawn(throw: Int64, learned: Int64, rng: Generator) -> Float32:
+    """Draw as many throws as are learned from, with replacement; return how often that of each row was drawn."""
+    throws, which = np.unique(throw[learned], return_inverse=True)
+    times = np.zeros(len(throw), np.float32)
+    times[learned] = rng.multinomial(len(throws), np.full(len(throws), 1 / len(throws)))[which]
+    return times
 
 
 def _learn(

@@ -66,9 +66,9 @@ def as_block(rows: Float32) -> Block:
     return view
 
 
-def from_row(block: Block, row: int) -> Block:
-    """View a block from the given row on."""
-    return as_block(block.rows[row:])
+def from_row(block: Any, row: int) -> Any:
+    """View a block, or a tuple of arrays, from the given row on."""
+    return block[row:] if isinstance(block, tuple) else as_block(block.rows[row:])
 
 
 def select(mask: Numeric, yes: Numeric, no: Numeric) -> Numeric:

@@ -32,16 +32,20 @@ def sines_and_cosines(angle: Float32) -> tuple[Float32, Float32]:
     return flat[1, : len(angle)], flat[2, : len(angle)]
 
 
+def link_constants(length_scale: Floats, physics: Physics) -> tuple[Float32, Float32, Float32]:
+    """Return (n_links,) long axes [m], masses [kg] and moments of inertia [kg·m²] in the precision of the engines."""
+    width = 1.0 / length_scale
+    mass = physics.link_density * width * length_scale
+    inertia = mass * (width**2 + length_scale**2) / 12
+    return length_scale.astype(np.float32), mass.astype(np.float32), inertia.astype(np.float32)
+
+
 class FreeLinks:
     """Single links without ground or joints, to be thrown. Paper, "Dataset Collection"."""
 
     def __init__(self, length_scale: Floats, physics: Physics) -> None:
         """Create (n_links,) links with the given long axes [m]."""
-        width = 1.0 / length_scale
-        mass = physics.link_density * width * length_scale
-        self._physics = physics
-        inertia = mass * (width**2 + length_scale**2) / 12
-        self._constants = [quantity.astype(np.float32) for quantity in (length_scale, mass, inertia)]
+        self._physics, self._constants = physics, link_constants(length_scale, physics)
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:
         """Return (n_links, 6) states one step after the given ones, both in the order of :class:`Column`."""

@@ -5,6 +5,7 @@ from tasks.residual.forms.form import (
     FORMS,
     Form,
     Targets,
+    form_here,
     form_named,
     observe,
     register_form,

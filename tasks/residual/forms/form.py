@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tasks.arrays import Float32, Floats
+from tasks.arrays import Float32, Float64, Floats
 from tasks.discovery import FAILURES, register
 from tasks.world.medium import LinkStates, Medium
 from tasks.world.physics import Physics
@@ -42,6 +42,10 @@ def _as_they_are(inputs: Float32, change: Float32, weights: Float32, deviation: 
     return Targets(change, weights if (weights != 1).any() else weights[:, :0], change[:, :0])
 
 
+def _nothing(links: LinkStates, change: Float32, weights: Float32, physics: Physics) -> tuple[Float64, Float32]:  # noqa: ARG001
+    return np.empty(0), np.empty(0, np.float32)
+
+
 def _learns_any_medium(medium: Medium, physics: Physics) -> str:  # noqa: ARG001
     return ""
 
@@ -57,14 +61,20 @@ class Form:
     name: str  # as the setting network.form has it
     about: str = ""  # what it is, in a sentence, for a page
 
-    inputs: tuple[str, ...]  # names of what ``read`` returns
+    inputs: tuple[str, ...]  # names of what networks see
     read: Callable[[Any], tuple[Any, ...]]
-    """Formula: the inputs, by the links' LinkStates. Mass and inertia, which follow from the length, are not known in
-    training."""
+    """Formula: the inputs, and then what is unseen, by the links' LinkStates."""
+    unseen: tuple[str, ...] = ()  # what else ``read`` returns, for ``act`` alone
 
     outputs: tuple[str, ...]  # what the outputs are measured by; those after the first three have no error of their own
     act: Callable[[Any, Any], tuple[Any, Any, Any]]
-    """Formula: the changes of vx, vy [m/s] and ω [rad/s] in a step, by the outputs and the inputs."""
+    """Formula: the changes of vx, vy [m/s] and ω [rad/s] in a step, by the outputs and factors, and by what is read."""
+    constants: tuple[str, ...] = ()
+    """What is fitted to throws, before networks learn what that leaves over."""
+    n_factors: int = 0  # number of the factors of a step that follow from the constants
+    fit: Callable[[LinkStates, Float32, Float32, Physics], tuple[Float64, Float32]] = _nothing
+    """(n_constants,) constants and (n_factors,) factors, by (n_rows,) links, their (n_rows, 3) changes, and (n_rows, 3)
+    weights of squared errors."""
     beside: tuple[str, ...] = ()
     """Components of a step's residual that networks learn as well, before the outputs, and that act on nothing."""
 
@@ -98,6 +108,7 @@ class Form:
 
 
 FORMS: dict[str, Form] = {}  # forms by name
+FAMILIES: dict[str, Callable[[str], Form]] = {}  # forms that follow from a medium, such as law:true_slush, by its name
 
 
 def register_form(form: Form) -> Form:
@@ -107,11 +118,11 @@ def register_form(form: Form) -> Form:
         ValueError: another form has the name, or its formulas do not fit it.
     """
     some = np.ones(1, np.float32)
-    inputs = form.read(LinkStates(*[some] * len(fields(LinkStates))))
-    if len(inputs) != len(form.inputs):
-        names = ", ".join(form.inputs)
-        raise ValueError(f"form {form.name!r}: read returns {len(inputs)} inputs, expected {len(form.inputs)}: {names}")
-    if (n := len(form.act([some] * len(form.outputs), inputs))) != N_VELOCITIES:
+    read, names = form.read(LinkStates(*[some] * len(fields(LinkStates)))), (*form.inputs, *form.unseen)
+    if len(read) != len(names):
+        listed = ", ".join(names)
+        raise ValueError(f"form {form.name!r}: read returns {len(read)} inputs, expected {len(names)}: {listed}")
+    if (n := len(form.act((some,) * (len(form.outputs) + form.n_factors), read))) != N_VELOCITIES:
         raise ValueError(f"form {form.name!r}: act returns {n} changes, expected {N_VELOCITIES}: of vx, vy and omega")
     register(FORMS, "form", form.name, form)
     return form
@@ -119,14 +130,25 @@ def register_form(form: Form) -> Form:
 
 def form_named(name: str) -> Form:
     """Return a form; raise ValueError if there is none of the name."""
+    family, _, medium = name.partition(":")
+    if family in FAMILIES:
+        return FAMILIES[family](medium)
     if name not in FORMS:
-        said = f"network.form: expected any of {', '.join(sorted(FORMS))}, got {name!r}"
+        said = f"network.form: expected any of {', '.join(sorted([*FORMS, *FAMILIES]))}, got {name!r}"
         raise ValueError("; ".join([said, *FAILURES]))
     return FORMS[name]
 
 
+def form_here(name: str) -> Form | None:
+    """Return a form; None if its code is not here."""
+    try:
+        return form_named(name)
+    except ValueError:
+        return None
+
+
 def observe(form: Form, links: LinkStates) -> Float32:
-    """Return (..., n_inputs) inputs, computed in float32 by the states of links, arrays of one shape (...).
+    """Return (..., n_read) inputs and what is unseen, in float32, by the states of links, arrays of one shape (...).
 
     A state that is not finite, or too large for float32, gives inputs that are not finite and no error, because a
     diverged rollout is a status.
@@ -137,7 +159,7 @@ def observe(form: Form, links: LinkStates) -> Float32:
 
 
 def velocity_changes(form: Form, outputs: Floats, inputs: Floats) -> Floats:
-    """Return (..., 3) changes of vx, vy and ω by (..., n_outputs) outputs and (..., n_inputs) inputs."""
+    """Return (..., 3) changes of vx, vy and ω by (..., n_outputs + n_factors) outputs and (..., n_read) inputs."""
     return np.stack(form.act(*(tuple(np.moveaxis(rows, -1, 0)) for rows in (outputs, inputs))), axis=-1)
 
 

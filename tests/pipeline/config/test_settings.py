@@ -65,7 +65,7 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["learners.a.throws.n_throws=0"], "learners.a.throws.n_throws: expected greater than or equal to 2"),
         (
             ["learners.a.network.form=wet"],
-            "learners.a.network.form: expected any of plain, signed_angle, wetted, got 'wet'",
+            "learners.a.network.form: expected any of law, law_and_network, plain, signed_angle, wetted, got 'wet'",
         ),
         (["learners.a.network.frm=plain"], "unknown setting; did you mean learners.a.network.form?"),
         (["slush.decay=3"], "--set slush.decay=3: slush.decay: unknown setting; did you mean training.decay?"),
