@@ -26,6 +26,11 @@ def check(settings: Settings) -> None:
             "physics.passive_joints is locked, so motors decide which links form one body: "
             "expected evolution.morphology.n_actuated, the number of motors"
         )
+    if settings.physics.continuous_collision and settings.work.engine != "reference":
+        raise ValueError(
+            f"physics.continuous_collision is on and work.engine is {settings.work.engine}, which lacks it: "
+            "expected work.engine=reference, which takes about fifty times as long"
+        )
     if settings.replicates > settings.grid.n_trials:
         raise ValueError(
             f"replicates is {settings.replicates} and grid.n_trials is {settings.grid.n_trials}, so some data sets "

@@ -29,6 +29,7 @@ from tasks.parameters import Parameters
 from tasks.residual import LEARNERS, Architecture, Learner, LearnerSettings, Throws, Training, arm_kind, in_order
 from tasks.residual.forms import form_here
 from tasks.residual.learner import learner_of
+from tasks.simulation import Conditions
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
@@ -257,6 +258,11 @@ class Settings(Parameters):
             return ()
         depths = self.evolution.objective_depths
         return self.grid.depths if depths is None else depths
+
+    @property
+    def objective_conditions(self) -> tuple[Conditions, ...]:
+        """Conditions of the rollouts that the objective is the mean over; none if it is that of one rollout."""
+        return tuple(map(Conditions, self.objective_depths)) or self.evolution.maximised.conditions
 
     @property
     def selected_for(self) -> str:

@@ -40,7 +40,7 @@ CHAMPIONS = "champions"  # name of the table of champions
 
 _CHAMPION_COLUMNS = {
     **KEYS,
-    **dict.fromkeys(("predicted", "zero_shot", "adapted"), pa.float64()),
+    **dict.fromkeys(("predicted", "zero_shot", "adapted", "passive"), pa.float64()),
     **dict.fromkeys(("predicted_sd", "fitness"), pa.float64()),
     "design_json": pa.string(),
 }
@@ -175,7 +175,7 @@ class Study:
         fields = [field_of(name, kind, about[name]) for name, kind in _CHAMPION_COLUMNS.items()]
         if not objective.is_papers:
             further = described(scored_by(objective, ScoredTrial))
-            names = ("predicted", "predicted_sd", "zero_shot", "adapted")
+            names = ("predicted", "predicted_sd", "zero_shot", "adapted", "passive")
             fields += [field_of(f"{name}_score", pa.float64(), further[name]) for name in names]
         return pa.Table.from_pylist(rows, schema=pa.schema(fields))
 

@@ -12,7 +12,17 @@ from pipeline.store.provenance import environment as provenance
 from tasks.analysis.estimates import Mean
 from tasks.analysis.tables import ANALYSES
 
-_OF_CHAMPION = ("environment", "depth", "trial", "predicted", "predicted_sd", "fitness", "zero_shot", "adapted")
+_OF_CHAMPION = (
+    "environment",
+    "depth",
+    "trial",
+    "predicted",
+    "predicted_sd",
+    "fitness",
+    "zero_shot",
+    "adapted",
+    "passive",
+)
 _MEANS = ("predicted", "zero_shot", "adapted")
 _DIGITS = 4  # decimals of a displacement [m]
 
@@ -26,7 +36,7 @@ def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
     upstream, objective = study.upstream, study.settings.evolution.maximised
     return {
         "schema": "puddle.results",
-        "version": 4,
+        "version": 5,
         "study": study.name,
         "source": study.record.source,
         "made_with": dict(provenance()),
@@ -48,7 +58,7 @@ def results_of(study: Study, page: StudyPage) -> dict[str, Any]:
             {**row, "this_run": row["this_run"].split(" (")[0], "interval": row["this_run"].partition(" (")[2][:-1]}
             for row in _rows(page, "paper", lambda row: True)
         ],
-        "luck": _rows(page, "luck", lambda row: True),
+        "robustness": _rows(page, "robustness", lambda row: True),
         "champions": [
             {name: _rounded(getattr(row, name)) for name in _OF_CHAMPION}
             for row in page.rows("scores")

@@ -22,7 +22,7 @@ from tasks.residual import Architecture
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.learner import NetworkUse
 from tasks.seeding import generator
-from tasks.simulation import Rollouts, simulate
+from tasks.simulation import Conditions, Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
 from tasks.simulation.fluids import is_compiled
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, MeanResidual, Physics, ResidualSlush
@@ -176,6 +176,7 @@ def roll_out(
     execution: Execution,
     environment: Environment,
     designs: Designs,
+    conditions: Conditions | None = None,
     *,
     trace: bool = False,
     motor_work: bool = False,
@@ -184,16 +185,18 @@ def roll_out(
 
     Raises PuddleError if the medium, perhaps a user's own, gives no velocity change.
     """
+    conditions = conditions or Conditions()
+    physics = conditions.of_physics(simulation.physics)
     try:
         return simulate(
-            designs,
-            environment,
-            n_settle=simulation.rollout.n_settle,
-            n_measure=simulation.rollout.n_measure,
-            engine=execution.engine,
+            conditions.of_designs(designs),
+            conditions.of_environment(environment),
+            n_settle=simulation.rollout.n_settle * conditions.n_substeps,
+            n_measure=simulation.rollout.n_measure * conditions.n_substeps,
+            engine="reference" if physics.continuous_collision else execution.engine,
             trace=trace,
             motor_work=motor_work,
-            physics=simulation.physics,
+            physics=physics,
         )
     except MediumError as error:
         raise PuddleError(str(error)) from error
@@ -215,34 +218,38 @@ class FitnessSpec:
 
     disagreement_penalty: float  # weight of the members' disagreement; 0 without an ensemble
     objective: ObjectiveName
-    objective_depths: tuple[float, ...]  # [m], over which an objective over depths is the mean; otherwise none
+    conditions: tuple[Conditions, ...]  # of the rollouts that the objective is the mean over; none if of one
+
+    def at(self, depth: float) -> list[Conditions]:
+        """Return these conditions in an environment of a depth [m]."""
+        return [replace(one, depth=depth) if one.depth is None else one for one in self.conditions]
 
 
 def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:
     """Return what designs are selected for in an environment."""
-    objective, depths = settings.evolution.objective, settings.objective_depths
+    objective, conditions = settings.evolution.objective, settings.objective_conditions
     kind = settings.learner(environment) or ENVIRONMENTS.get(environment)
     if kind is None or not kind.is_ensemble:
-        return FitnessSpec(0.0, objective, depths)
-    return FitnessSpec(settings.ensemble.disagreement_penalty, objective, depths)
+        return FitnessSpec(0.0, objective, conditions)
+    return FitnessSpec(settings.ensemble.disagreement_penalty, objective, conditions)
 
 
 def evaluate_designs(
     designs: Designs, simulation: SimulationSpec, execution: Execution, environment: Environment, fitness: FitnessSpec
 ) -> Evaluation:
-    """Return the scores of designs; displacement is that at the environment's own depth."""
+    """Return the scores of designs; displacement is that of the study's own rollout."""
     objective = OBJECTIVES[fitness.objective]
     needed = {"trace": objective.trace, "motor_work": objective.motor_work}
-    at = {depth: replace(environment, depth=depth) for depth in fitness.objective_depths}
+    own, varied = Conditions(environment.depth), fitness.at(environment.depth)
     rollouts = {
-        depth: roll_out(simulation, execution, of_depth, designs, **needed)
-        for depth, of_depth in (at | {environment.depth: environment}).items()
+        each: roll_out(simulation, execution, environment, designs, each, **needed)
+        for each in dict.fromkeys((own, *varied))
     }
     return evaluate(
-        rollouts[environment.depth],
+        rollouts[own],
         disagreement_penalty=fitness.disagreement_penalty,
         objective=fitness.objective,
-        at_depths=[rollouts[depth] for depth in fitness.objective_depths],
+        varied=[rollouts[each] for each in varied],
     )
 
 

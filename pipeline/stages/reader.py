@@ -43,7 +43,7 @@ from tasks.design import Designs
 from tasks.evolution import OBJECTIVES, Objective, Population
 from tasks.residual import Learner, MeasuredTransitions, Transitions, arm_kind
 from tasks.seeding import generator
-from tasks.simulation import Rollouts, simulate
+from tasks.simulation import Conditions, Rollouts, simulate
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, Slush
 from tasks.world.slush import PAPERS_TARGET
 
@@ -238,7 +238,7 @@ class StudyReader:
                 listed.append(ScoredTrial(*identity, status="no champion" if trial in self.scores else "not done"))
                 continue
             suffix = "" if displacement or "predicted_score" not in scores else "_score"
-            names = {name: name + suffix for name in ("predicted", "predicted_sd", "zero_shot", "adapted")}
+            names = {name: name + suffix for name in ("predicted", "predicted_sd", "zero_shot", "adapted", "passive")}
             known = {name: scores.get(source) for name, source in {"fitness": "fitness", **names}.items()}
             finite: dict[str, Any] = {name: nan if value is None else value for name, value in known.items()}
             listed.append(ScoredTrial(*identity, status="ok", **finite))
@@ -348,6 +348,13 @@ class StudyReader:
     def score(self, environment: Environment, designs: Designs) -> Float64:
         spec = self.spec
         return environments.evaluate_designs(designs, spec.simulation, self.execution, environment, spec.fitness).scores
+
+    def score_under(self, conditions: Conditions, environment: Environment, designs: Designs) -> Float64:
+        objective, simulation = self.objective, self.spec.simulation
+        needed = {"trace": objective.trace, "motor_work": objective.motor_work}
+        return objective.score(
+            environments.roll_out(simulation, self.execution, environment, designs, conditions, **needed)
+        )
 
     def rng(self, *identity: str | float) -> Generator:
         return generator(self.spec.seed, "analyse", *identity)

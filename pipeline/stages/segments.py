@@ -30,6 +30,7 @@ from tasks.evolution import (
     history_units,
 )
 from tasks.seeding import generator
+from tasks.simulation import Conditions
 from tasks.world import Environment, EnvironmentName
 
 BEFORE = InputName("before")  # the segment before
@@ -85,13 +86,14 @@ def segment_lengths(settings: Settings, n_generations: int) -> tuple[int, ...]:
 
 def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -> Chain[TrialSpec]:
     """Return a trial as a chain of items of some generations; trials in one environment at one depth may be batched."""
-    n_depths = len({spec.identity.depth, *spec.fitness.objective_depths})
+    depth = spec.identity.depth
+    n_rollouts = sum(one.n_substeps for one in {Conditions(depth), *spec.fitness.at(depth)})
     return Chain(
         spec.identity,
         units,
         spec,
-        weight=environments.relative_cost(settings, spec.environment) * n_depths,
-        batch_key=Arm(spec.environment, spec.identity.depth),
+        weight=environments.relative_cost(settings, spec.environment) * n_rollouts,
+        batch_key=Arm(spec.environment, depth),
         batch_size=environments.batch_size(settings, spec.environment),
     )
 

@@ -1,7 +1,8 @@
 """transfer: how champions do in the target, where they have never been. Paper, "Evolution" and Fig. 4.
 
 The champion of every trial is scored where it evolved (predicted: the mean over the members of an ensemble), zero-shot
-in the target at its own depth, and there with the controller that the stage adapt evolved.
+in the target at its own depth, and there with its motors off (passive) and with the controller that the stage adapt
+evolved.
 """
 
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Sources, Stage, Summary, Upstream
 from tasks.analysis.columns import scored_by
 from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
-from tasks.design import Designs
+from tasks.design import Designs, motors_off
 from tasks.evolution import OBJECTIVES, disagreement
 from tasks.world import EnvironmentName
 
@@ -93,7 +94,7 @@ def _compute(item: Item[ScoreSpec], inputs: Inputs) -> Files:
         scores[f"predicted{suffix}"] = float(values.mean())
         sd = float(disagreement(values[None])[0]) if has_sd else None
         scores |= {f"predicted_sd{suffix}": sd} if has_sd or not suffix else {}
-    scores |= in_target("zero_shot", champion)
+    scores |= in_target("zero_shot", champion) | in_target("passive", motors_off(champion))
     if _ADAPTED in inputs and (adapted := champion_of(population_of(inputs[_ADAPTED]))) is not None:
         files[ADAPTED] = design_json(adapted)
         scores |= in_target("adapted", adapted)
@@ -126,7 +127,7 @@ def _summarise_trial(trial: ChainId, items: Sequence[Files]) -> Summary:
 
 TRANSFER = Stage(
     name="transfer",
-    version=1,
+    version=2,
     unit="champions",
     reads=lambda settings: ("train", "evolve", "adapt") if settings.needs_ensemble else ("evolve", "adapt"),
     plan=_plan,

@@ -161,10 +161,12 @@ def sum_of_means(*samples: Sample) -> Estimate:
 def ratio(part: Sample, whole: Sample, *, rng: Generator) -> Estimate:
     """Estimate the ratio of two means of independent groups; missing where the reference goes nowhere or backwards.
 
-    The interval is by the bootstrap, and by the delta method if a group has several replicates.
+    The interval is by the bootstrap, and by the delta method if a group has several replicates. A group is 1 of itself.
     """
     if min(len(part), len(whole)) == 0 or whole.values.mean() <= RESOLUTION:
         return MISSING
+    if np.array_equal(part.values, whole.values):
+        return Estimate(1.0)
     if all(len(np.unique(group.replicate)) < 2 for group in (part, whole)):
         return bootstrap(_ratio, part.values[:, None], whole.values[:, None], rng=rng)[0]
     value = float(part.values.mean() / whole.values.mean())

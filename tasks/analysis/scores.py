@@ -42,6 +42,7 @@ class ScoredTrial(OfTrial):
     )
     zero_shot: float = column("zero-shot", SCORE, default=math.nan, meaning="Displacement of the root in the target.")
     adapted: float = column("adapted", SCORE, default=math.nan, meaning="With a controller that evolved in the target.")
+    passive: float = column("motors off", SCORE, default=math.nan, meaning="Zero-shot, with every motor off.")
     status: Literal["ok", "no champion", "not done"] = column(
         "status", form="{}", default="not done", meaning="ok, no champion (every design diverged), or not done."
     )

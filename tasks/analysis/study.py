@@ -12,7 +12,7 @@ from tasks.arrays import Float64, Int64
 from tasks.design import Designs
 from tasks.evolution import Population
 from tasks.residual.learner import Learner
-from tasks.simulation import Rollouts
+from tasks.simulation import Conditions, Rollouts
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics
 
 
@@ -91,6 +91,9 @@ class StudyData(Protocol):
 
     def score(self, environment: Environment, designs: Designs) -> Float64:
         """Return (n_designs, n_members) scores of designs, in the unit of the study's objective."""
+
+    def score_under(self, conditions: Conditions, environment: Environment, designs: Designs) -> Float64:
+        """Return (n_designs,) scores of one rollout each in some conditions, in an environment without an ensemble."""
 
     def rng(self, *identity: str | float) -> Generator:
         """Return a generator that the study's seed and what it is for decide."""

@@ -3,4 +3,4 @@
 from tasks.design.body import RigidBodies, kinematic_trees, rest_pose, rigid_bodies
 from tasks.design.genes import GENES, N_LINKS, DesignError, Designs, check
 from tasks.design.morphology import ANY_BODY, Morphology, links_apart
-from tasks.design.variation import Mutation, crossover, jittered, mutate, random_designs
+from tasks.design.variation import Mutation, crossover, jittered, motors_off, mutate, random_designs

@@ -248,19 +248,24 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
     return Sampler(rng, variation_of(morphology), morphology).recombinations((one.table, other.table)).designs
 
 
+def motors_off(designs: Designs) -> Designs:
+    """Return designs without control: what they travel is what the world does to their bodies."""
+    return replace(designs, motor_on=np.zeros_like(designs.motor_on))
+
+
 def jittered(designs: Designs, rng: Generator, shifts: Mapping[str, float | Float64]) -> Designs:
     """Return designs with genes of every joint moved up or down, or inwards at a gene's bound.
 
     Args:
         designs: n_designs designs.
-        rng: source of randomness, which decides the way.
+        rng: source of randomness, which decides the way, the same for all designs.
         shifts: how far, by the gene's name, in its unit: one number, or (n_designs, n_links).
     """
     bounds = {gene.name: (gene.low, gene.high) for gene in GENES}
     moved = {}
     for name, shift in shifts.items():
         value, (low, high) = getattr(designs, name), bounds[name]
-        step = np.where(rng.random(value.shape) < 0.5, -1.0, 1.0) * shift
+        step = np.where(rng.random(value.shape[1:]) < 0.5, -1.0, 1.0) * shift
         step = np.where((value + step < low) | (value + step > high), -step, step)
         moved[name] = np.concatenate((value[:, :1], (value + step)[:, 1:]), axis=1)  # a root has no joint
     return replace(designs, **moved)

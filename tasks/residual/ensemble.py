@@ -10,7 +10,7 @@ tasks/simulation/networks/inference.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numba
@@ -60,6 +60,11 @@ class Ensemble:
         weights[-1] = self.weights[-1].reshape(-1, n_out) / np.float32(self.n_members)
         biases = [*(bias.reshape(-1) for bias in self.biases[:-1]), self.biases[-1].mean(axis=0)]
         return Ensemble(tuple(one[None] for one in weights), tuple(one[None] for one in biases), self.form)
+
+    def scaled(self, factor: float) -> Ensemble:
+        """Return networks whose outputs, and so the changes by them, are these times a factor."""
+        weights, biases = ((*of[:-1], of[-1] * np.float32(factor)) for of in (self.weights, self.biases))
+        return replace(self, weights=weights, biases=biases)
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
         """Predict the velocity changes of one step; member k predicts entry k of the first axis.

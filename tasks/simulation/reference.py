@@ -31,7 +31,7 @@ GROUND_BIT = 1 << N_LINKS  # collision category of the ground; a link's category
 def empty_world(physics: Physics) -> Any:
     """Make a world without bodies."""
     world = Box2D.b2World(gravity=(0.0, -physics.gravity), doSleep=False)
-    world.continuousPhysics = False  # the ground is thick; nothing tunnels
+    world.continuousPhysics = physics.continuous_collision
     world.warmStarting = True
     return world
 

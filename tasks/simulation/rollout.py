@@ -97,6 +97,10 @@ def simulate(
             raise ValueError(f"{name} is {value!r}, expected at least {least}, a whole number")
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
+    if physics.continuous_collision and engine == "batch":
+        raise ValueError(
+            "physics.continuous_collision is on, which the batch engine lacks: expected engine 'reference'"
+        )
     motion = ENGINES[engine](
         designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work
     )

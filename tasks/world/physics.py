@@ -40,6 +40,9 @@ class Physics(Parameters):
     link_collisions: bool = False
     """Whether links that no joint connects collide; all links collide with the ground. [P]: they did in the robot that
     was built."""
+    continuous_collision: bool = False
+    """Whether Box2D stops fast links where they touch the ground within a step, its default, in place of pushing them
+    out after it. The ground is thick, so nothing tunnels. Only the reference engine (work.engine) can."""
 
 
 def froude_time(length: float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tasks.arrays import Float64
 from tasks.discovery import register
-from tasks.simulation import OK, Rollouts
+from tasks.simulation import OK, Conditions, Rollouts
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class Objective:
     motor_work: bool = False  # whether the score needs ``rollouts.motor_work``
     over_depths: bool = False  # whether it is the mean of the scores at several depths, which are a setting
     trace: bool = False  # whether the score needs ``rollouts.trace``
+    conditions: tuple[Conditions, ...] = ()  # of rollouts that it is the mean of the scores of; none: the study's own
 
     @property
     def is_papers(self) -> bool:
@@ -60,7 +61,7 @@ def register_objective(objective: Objective) -> None:
 class Evaluation:
     """Scores of n_designs designs; environments without an ensemble have one member."""
 
-    fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged, at any depth
+    fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged, in any conditions
     displacement: Float64  # (n_designs, n_members) displacement of the root [m]; NaN where diverged
     com_displacement: Float64  # (n_designs, n_members) the same of the whole robot's centre of mass
     scores: Float64  # (n_designs, n_members) by the objective
@@ -71,7 +72,7 @@ def evaluate(
     *,
     disagreement_penalty: float,
     objective: ObjectiveName = PAPERS_OBJECTIVE,
-    at_depths: Sequence[Rollouts] = (),
+    varied: Sequence[Rollouts] = (),
 ) -> Evaluation:
     """Return the scores of rollouts; in an environment without an ensemble, the fitness is the score itself.
 
@@ -79,16 +80,19 @@ def evaluate(
         rollouts: rollouts of n_designs designs.
         disagreement_penalty: k in μ - k σ over members.
         objective: name of the objective.
-        at_depths: rollouts of the same designs under the same members at each depth of an objective over depths.
+        varied: rollouts of the same designs under the same members at each depth, or in each of the conditions, that
+            the objective is the mean over.
 
     Raises:
-        ValueError: an objective over depths has no depths, or another one has some; or its scores have another shape.
+        ValueError: an objective over conditions has no such rollouts, or another has some; or its scores have another
+            shape.
     """
     chosen = OBJECTIVES[objective]
-    if chosen.over_depths != bool(at_depths):
-        expected = "at least 1" if chosen.over_depths else "0"
-        raise ValueError(f"objective {chosen.name!r}: at_depths has length {len(at_depths)}, expected {expected}")
-    scores = _mean_over_depths(chosen, rollouts, at_depths) if chosen.over_depths else chosen.score(rollouts)
+    is_mean = chosen.over_depths or bool(chosen.conditions)
+    if is_mean != bool(varied):
+        expected = "at least 1" if is_mean else "0"
+        raise ValueError(f"objective {chosen.name!r}: varied has length {len(varied)}, expected {expected}")
+    scores = _mean_score(chosen, rollouts, varied) if is_mean else chosen.score(rollouts)
     if np.shape(scores) != rollouts.displacement.shape:
         expected = f"that of rollouts.displacement, {rollouts.displacement.shape}"
         raise ValueError(f"objective {chosen.name!r}: its score has shape {np.shape(scores)}, expected {expected}")
@@ -101,9 +105,9 @@ def evaluate(
     )
 
 
-def _mean_over_depths(objective: Objective, rollouts: Rollouts, at_depths: Sequence[Rollouts]) -> Float64:
-    """Return the mean score of each rollout over depths; NaN where it diverged at one of them or at its own."""
-    mean = np.mean([objective.score(each) for each in at_depths], axis=0)
+def _mean_score(objective: Objective, rollouts: Rollouts, varied: Sequence[Rollouts]) -> Float64:
+    """Return the mean score over varied rollouts; NaN where one of them diverged, or the study's own."""
+    mean = np.mean([objective.score(each) for each in varied], axis=0)
     return np.where(rollouts.status == OK, mean, np.nan)
 
 

@@ -27,6 +27,8 @@ from pipeline.workflow.record import DrivenStudy, settings_of
 from pipeline.workflow.stage import Execution, StoredFiles
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES, Objective
+from tasks.simulation import Conditions, simulate
+from tasks.world import Physics
 
 SETTINGS = """
 name: fast
@@ -158,7 +160,7 @@ def test_champions_are_scored_by_it_in_the_target(scored):
     assert study.champions().field("zero_shot_score").metadata[b"unit"] == unit
 
 
-SCORES = (("scores", "zero_shot"), ("transfer", "adapted"), ("luck", "again"))
+SCORES = (("scores", "zero_shot"), ("transfer", "adapted"), ("robustness", "starts"))
 
 
 def test_the_best_by_it_is_listed_first(scored, capsys):
@@ -229,9 +231,29 @@ def test_a_generalist_is_selected_for_its_mean_over_depths(settings, tmp_path, d
         np.testing.assert_array_equal(history["displacement"][:, 0], moved[1.0])
         np.testing.assert_array_equal(history["fitness"], np.mean([moved[of] for of in (0.0, 2.0, 5.0)], axis=0))
     (first, *_) = EVOLVE.plan(settings)
-    assert to_jsonable_python(first.spec)["fitness"]["objective_depths"] == [0.0, 2.0, 5.0]
+    assert to_jsonable_python(first.spec)["fitness"]["conditions"] == [
+        to_jsonable_python(Conditions(of)) for of in (0, 2, 5)
+    ]
     (paper, *_) = EVOLVE.plan(parse(Settings, SETTINGS, name="fast"))
     assert first.weight == 4 * paper.weight  # rollouts of each design: three depths and the trial's own
+
+
+def test_a_robust_design_is_selected_for_its_mean_over_starts_and_steps(settings, tmp_path):
+    changes = ["evolution.objective=robust_displacement"]
+    settings = parse(Settings, settings.model_dump_json(), name="fast", overrides=changes)
+    steps = settings.rollout
+    for history, _, environment in evolved(settings, tmp_path):
+        moved = []
+        for n_substeps, start in ((1, 0), (2, 1), (4, 2)):
+            designs = Conditions(start=start).of_designs(Designs.from_arrays(history))
+            physics = Physics(time_step=1 / 60 / n_substeps)
+            n_settle, n_measure = (n * n_substeps for n in (steps.n_settle, steps.n_measure))
+            at = {"engine": "reference", "n_settle": n_settle, "n_measure": n_measure, "physics": physics}
+            moved.append(simulate(designs, environment, **at).displacement)
+        np.testing.assert_array_equal(history["displacement"][:, 0], moved[0])
+        np.testing.assert_array_equal(history["fitness"], np.mean(moved, axis=0))
+    (first, *_), (paper, *_) = (EVOLVE.plan(of) for of in (settings, parse(Settings, SETTINGS, name="fast")))
+    assert first.weight == 7 * paper.weight
 
 
 @pytest.mark.parametrize(
@@ -242,6 +264,10 @@ def test_a_generalist_is_selected_for_its_mean_over_depths(settings, tmp_path, d
         (["objective=mean_over_depths", "objective_depths=[1,1]"], r"objective_depths repeats a value"),
         (["objective=mean_over_depths"], r"objective_depths, or grid\.depths where they are null, has 1 depth"),
         (["objective=mean_over_depths", "objective_depths=[3]"], r"has 1 depth: expected at least 2"),
+        (
+            ["physics.continuous_collision=true"],
+            r"continuous_collision is on and work\.engine is batch, .* work\.engine=ref",
+        ),
         (["objective=displacement_per_energy", "physics.max_motor_torque=0"], r"but physics\.max_motor_torque is 0"),
         (
             ["objective=displacement_per_energy", "morphology.n_actuated=0"],

@@ -87,11 +87,11 @@ def test_a_generalist_is_scored_by_its_mean_over_depths() -> None:
     """The mean over depths comes first, so that members disagree only where they do so in the mean."""
     deeper = replace(ENSEMBLE, displacement=np.array([[5.0, 0.0, 1.0], [3.0, 0.0, 1.0]]))
     mean = {"disagreement_penalty": 1.0, "objective": "mean_over_depths"}
-    evaluation = evaluate(ENSEMBLE, at_depths=[ENSEMBLE, deeper], **mean)
+    evaluation = evaluate(ENSEMBLE, varied=[ENSEMBLE, deeper], **mean)
     # Members' means over depths: 3 and 3; 2 and 2. The third diverges in its own depth, under the first member.
     np.testing.assert_array_equal(evaluation.fitness, [3.0, 2.0, -np.inf])
     np.testing.assert_array_equal(evaluation.displacement, ENSEMBLE.displacement.T)
-    np.testing.assert_array_equal(evaluate(ENSEMBLE, at_depths=[deeper], **mean).fitness, [3.0, 0.0, -np.inf])
+    np.testing.assert_array_equal(evaluate(ENSEMBLE, varied=[deeper], **mean).fitness, [3.0, 0.0, -np.inf])
     deeper = replace(deeper, status=np.full((2, 3), OK))
     lost = replace(deeper, displacement=np.array([[5.0, np.nan, 1.0], [3.0, 0.0, 1.0]]))
-    np.testing.assert_array_equal(evaluate(deeper, at_depths=[deeper, lost], **mean).fitness, [3.0, -np.inf, 1.0])
+    np.testing.assert_array_equal(evaluate(deeper, varied=[deeper, lost], **mean).fitness, [3.0, -np.inf, 1.0])

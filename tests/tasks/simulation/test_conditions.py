@@ -1,0 +1,66 @@
+"""Conditions of rollouts: starts, shorter steps, depths and continuous collision."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tasks.design import Designs, random_designs, rest_pose
+from tasks.residual.ensemble import Ensemble
+from tasks.residual.forms import form_named
+from tasks.simulation import Conditions, simulate
+from tasks.world import DryLand, LinkStates, Physics, ResidualSlush, TrueSlush
+
+
+def test_every_joint_of_another_start_is_a_millimetre_and_a_milliradian_off():
+    one = random_designs(50, np.random.default_rng(3))
+    moved = Conditions(start=7).of_designs(one)
+    np.testing.assert_allclose(np.abs(moved.rest_angle - one.rest_angle)[:, 1:], 1e-3, atol=1e-12)
+    shift = np.abs(moved.child_attachment - one.child_attachment) * one.length_scale / 2
+    np.testing.assert_allclose(shift, [[0] + [1e-3] * 5] * len(one), atol=1e-12)
+    x, y, _ = rest_pose(moved)
+    # A joint moves by 1 mm on either link, and what hangs on it turns by 1 mrad: at most 5 joints, links of up to 3 m.
+    assert np.hypot(x - rest_pose(one)[0], y - rest_pose(one)[1]).max() < 5 * (2e-3 + 5e-3 * 3)
+    assert (moved.rest_angle != Conditions(start=8).of_designs(one).rest_angle).any()
+
+
+def test_the_start_of_a_design_does_not_depend_on_the_others():
+    designs, start = random_designs(5, np.random.default_rng(4)), Conditions(start=2)
+    alone = Designs.concatenate([start.of_designs(designs[k : k + 1]) for k in range(5)])
+    np.testing.assert_array_equal(alone.table, start.of_designs(designs).table)
+    assert Conditions().of_designs(designs) is designs
+
+
+@pytest.fixture(scope="module")
+def ensemble():
+    rng, form = np.random.default_rng(5), form_named("wetted")
+    sizes = (len(form.inputs), 8, len(form.outputs))
+    weights = tuple(rng.normal(size=(2, *shape)).astype(np.float32) for shape in pairwise(sizes))
+    return Ensemble(weights, tuple(rng.normal(size=(2, n)).astype(np.float32) for n in sizes[1:]), form)
+
+
+def test_networks_change_a_shorter_step_in_proportion(ensemble):
+    home = ResidualSlush(depth=3.0, ensemble=ensemble)
+    finer = Conditions(depth=1.0, n_substeps=4).of_environment(home)
+    links = LinkStates(*np.random.default_rng(6).normal(size=(9, 2, 3, 6)).astype(np.float32))
+    whole, part = (at.medium.velocity_change(links, Physics()) for at in (home, finer))
+    assert finer.depth == 1.0 and np.abs(whole.omega).max() > 0
+    for name in ("vx", "vy", "omega"):
+        np.testing.assert_allclose(getattr(part, name), getattr(whole, name) / 4, rtol=1e-6)
+    assert Conditions().of_environment(home) is home
+
+
+def test_a_medium_knows_the_time_step_itself():
+    assert Conditions(n_substeps=4).of_environment(TrueSlush(depth=3.0)) == TrueSlush(depth=3.0)
+    assert Conditions(n_substeps=4).of_physics(Physics()) == Physics(time_step=1 / 240)
+
+
+def test_continuous_collision_matters_where_robots_touch_the_ground():
+    designs, steps = random_designs(4, np.random.default_rng(3)), {"n_settle": 20, "n_measure": 60}
+    physics = Conditions(continuous_collision=True).of_physics(Physics())
+    for world, touches in ((DryLand(depth=0.0), True), (TrueSlush(depth=9.0), False)):
+        moved = simulate(designs, world, engine="reference", physics=physics, **steps).displacement
+        usual = simulate(designs, world, **steps).displacement
+        assert (moved != usual).any() == touches
+    with pytest.raises(ValueError, match=r"continuous_collision is on.*expected engine 'reference'"):
+        simulate(designs, "dry_land", physics=physics)
