@@ -84,7 +84,7 @@ def study(slush_replay, dry_replay, predicted_replay) -> StudyPage:
     }
     data.assessed = assessed.get
     tables = {name: ANALYSES[name].compute(data) for name in ("scores", "transfer", "paper", "regressions")}
-    tables["exploiters"] = [Exploiter("residual_slush", 9.0, 0, 1, 7.0, 1.0, 6.0, 2.5)]
+    tables["exploiters"] = [Exploiter("residual_slush", 9.0, 0, 1, 7.0, 1.0, 0.2, 0.2, 6.0, 2.5)]
     time = np.linspace(0.0, 3.3, 60)
     start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))
     paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)
