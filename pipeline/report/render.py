@@ -156,12 +156,16 @@ def as_text(
 
 
 def _laid_out(column: WrittenColumn, most: int) -> list[list[str]]:
-    """Return the lines of a heading and each cell, of equal width."""
-    texts = [cell.text.replace("\u00a0", " ") for cell in column.cells]
-    longest = max(map(len, texts), default=0)
+    """Return the lines of a heading and each cell, of equal width; in narrow lines, intervals are below numbers."""
+    below = "\n" if column.is_number and most < _MOST_CHARACTERS[0] else " "
+    texts = [cell.text.replace(" (", f"{below}(", 1).replace("\u00a0", " ") for cell in column.cells]
+    longest = max((len(line) for text in texts for line in text.split("\n")), default=0)
     width = max(longest if column.is_number else min(longest, most), *map(len, column.heading.split()))
     align = str.rjust if column.is_number else str.ljust
-    wrapped = [textwrap.wrap(text, width, break_on_hyphens=False) for text in (column.heading, *texts)]
+    wrapped = [
+        [part for line in text.split("\n") for part in textwrap.wrap(line, width, break_on_hyphens=False)]
+        for text in (column.heading, *texts)
+    ]
     return [[align(line, width) for line in lines] for lines in wrapped]
 
 

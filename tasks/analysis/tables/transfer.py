@@ -7,11 +7,12 @@ import numpy as np
 
 from tasks.analysis import paper
 from tasks.analysis.columns import SCORE, OfArm, ScoreUnit, column, percent
-from tasks.analysis.estimates import RESOLUTION, Mean, mean_of
+from tasks.analysis.estimates import Estimate, Mean, mean_of, ratio
 from tasks.analysis.registry import analysis
-from tasks.analysis.scores import ScoredTrial, arms
+from tasks.analysis.scores import Quantity, ScoredTrial, arms, sample
 from tasks.analysis.study import StudyData
 from tasks.residual.learner import LEARNERS
+from tasks.seeding import generator
 from tasks.world import EnvironmentName
 
 
@@ -26,9 +27,9 @@ class TransferRow(OfArm):
     """The champions of one environment at one depth."""
 
     zero_shot: Mean = column("zero-shot", SCORE, meaning="Displacement of the root in the target, as it is.")
-    zero_shot_share: float | None = column("share", form=percent, meaning="Of the zero-shot mean of the target's own.")
+    zero_shot_share: Estimate = column("share", form=percent, meaning="Of the zero-shot mean of the target's own.")
     adapted: Mean = column("adapted", SCORE, meaning="With a controller that evolved in the target.")
-    adapted_share: float | None = column("share", form=percent)
+    adapted_share: Estimate = column("share, adapted", form=percent, meaning="Of the same mean.")
     predicted: Mean = column("predicted", SCORE, meaning="Where it evolved: for an ensemble the mean μ over members.")
     sigma: float | None = column("σ", SCORE, meaning="Mean deviation over the members of an ensemble.")
     fitness: float | None = column("μ − kσ", ScoreUnit(), meaning="Mean of what evolution maximised, for an ensemble.")
@@ -37,35 +38,30 @@ class TransferRow(OfArm):
     paper_adapted: float | None = column("paper, adapted", "m", meaning="The same, adapted.")
 
 
-TOO_WIDE = ("n", "sigma", "fitness", "paper_zero_shot", "paper_adapted")
+TOO_WIDE = ("n", "adapted", "sigma", "fitness", "paper_zero_shot", "paper_adapted")
 """Columns without which the table fits a terminal."""
 
 
 def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, papers: bool = False) -> list[TransferRow]:
     """Average the trials of each arm, the greatest depth first; the paper's means are beside them if asked for."""
-    by_arm = {arm: [one for one in trials if (one.environment, one.depth) == arm] for arm in arms(trials, target)}
-    means = {
-        arm: {name: mean_of(np.array([getattr(one, name) for one in own])) for name in _AVERAGED}
-        for arm, own in by_arm.items()
-    }
     rows = []
-    for (environment, depth), of_arm in means.items():
-        best = means.get((target, depth), {})
-        is_ensemble = of_arm["predicted_sd"].value is not None
+    for arm in arms(trials, target):
+        own = [one for one in trials if (one.environment, one.depth) == arm]
+        mean = {name: mean_of(np.array([getattr(one, name) for one in own])) for name in _AVERAGED}
+        is_ensemble = mean["predicted_sd"].value is not None
         rows.append(
             TransferRow(
-                environment,
-                depth,
-                of_arm["zero_shot"],
-                _share(of_arm["zero_shot"], best.get("zero_shot")),
-                of_arm["adapted"],
-                _share(of_arm["adapted"], best.get("zero_shot")),
-                of_arm["predicted"],
-                of_arm["predicted_sd"].value,
-                of_arm["fitness"].value if is_ensemble else None,
-                len(by_arm[environment, depth]),
-                papers_mean(environment, "zero_shot", depth) if papers else None,
-                papers_mean(environment, "adapted", depth) if papers else None,
+                *arm,
+                mean["zero_shot"],
+                _share(trials, arm, "zero_shot", target),
+                mean["adapted"],
+                _share(trials, arm, "adapted", target),
+                mean["predicted"],
+                mean["predicted_sd"].value,
+                mean["fitness"].value if is_ensemble else None,
+                len(own),
+                papers_mean(arm[0], "zero_shot", arm[1]) if papers else None,
+                papers_mean(arm[0], "adapted", arm[1]) if papers else None,
             )
         )
     return rows
@@ -74,10 +70,12 @@ def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, pap
 _AVERAGED = ("fitness", "predicted", "predicted_sd", "zero_shot", "adapted")
 
 
-def _share(part: Mean, whole: Mean | None) -> float | None:
-    if part.value is None or whole is None or whole.value is None or whole.value <= RESOLUTION:
-        return None
-    return part.value / whole.value
+def _share(
+    trials: Sequence[ScoredTrial], arm: tuple[EnvironmentName, float], quantity: Quantity, target: EnvironmentName
+) -> Estimate:
+    """Estimate an arm's share of the zero-shot mean of the target's own champions at its depth."""
+    part, whole = (sample(trials, of, arm[1]) for of in ((arm[0], quantity), (target, "zero_shot")))
+    return ratio(part, whole, rng=generator(0, "share", *arm, quantity))
 
 
 def papers_mean(environment: str, quantity: str, depth: float) -> float | None:
@@ -94,7 +92,9 @@ def _metrics(rows: Sequence[TransferRow]) -> dict[str, float | None]:
     single = [name for name, learner in LEARNERS.items() if learner.single]
     found = [row for row in rows if row.depth == rows[0].depth and row.environment not in single]
     metres = {f"m.{row.environment}": row.zero_shot.value for row in found}
-    return metres | {f"share.{row.environment}": row.zero_shot_share for row in found if row.zero_shot_share != 1}
+    return metres | {
+        f"share.{row.environment}": row.zero_shot_share.value for row in found if row.zero_shot_share.value != 1
+    }
 
 
 @analysis(

@@ -5,7 +5,7 @@ import math
 import pytest
 from scores_of import study_of, trials_of
 
-from tasks.analysis.estimates import Mean
+from tasks.analysis.estimates import Estimate, Mean
 from tasks.analysis.scores import ScoredTrial, arm_name, arms, sample
 from tasks.analysis.tables.transfer import papers_mean, transfer, transfer_rows
 
@@ -23,10 +23,20 @@ def test_a_row_of_the_transfer_table():
     ]
     best, residual, shallow = rows
     assert residual.zero_shot == Mean(6.0, pytest.approx(math.sqrt(8)), 2)
-    assert (residual.zero_shot_share, residual.adapted_share) == pytest.approx((0.6, 0.75))
-    assert best.adapted_share == pytest.approx(1.5)
+    assert (residual.zero_shot_share.value, residual.adapted_share.value) == pytest.approx((0.6, 0.75))
+    assert best.zero_shot_share == Estimate(1.0)
+    assert best.adapted_share.value == pytest.approx(1.5)
     assert (best.paper_zero_shot, residual.paper_adapted) == pytest.approx((13.6, 0.87 * 13.6))
-    assert shallow.zero_shot == Mean(3.0, None, 1) and shallow.zero_shot_share is None is shallow.paper_zero_shot
+    assert shallow.zero_shot == Mean(3.0, None, 1) and shallow.zero_shot_share.value is None is shallow.paper_zero_shot
+
+
+def test_shares_have_the_interval_of_a_ratio_of_means():
+    five = [8.0, 9.0, 10.0, 11.0, 12.0]
+    best, land = transfer(study_of({E: five, ("dry_land", 9.0): [value / 2 for value in five]}))
+    assert land.zero_shot_share.value == 0.5 and best.zero_shot_share.interval is None
+    # The mean of five has a standard error of √(2.5 / 5) / 10 = 7 %, a ratio of two 10 %; Student's t is 2.8 and less.
+    low, high = land.zero_shot_share.interval
+    assert 0.5 * (1 - 2.8 * 0.1) < low < 0.5 * (1 - 1.5 * 0.1) and 0.5 * (1 + 1.5 * 0.1) < high < 0.5 * (1 + 4 * 0.1)
 
 
 def test_sigma_and_fitness_are_of_ensembles_alone():
