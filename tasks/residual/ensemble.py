@@ -62,8 +62,10 @@ class Ensemble:
         return Ensemble(tuple(one[None] for one in weights), tuple(one[None] for one in biases), self.form)
 
     def scaled(self, factor: float) -> Ensemble:
-        """Return networks whose outputs, and so the changes by them, are these times a factor."""
-        weights, biases = ((*of[:-1], of[-1] * np.float32(factor)) for of in (self.weights, self.biases))
+        """Return the ensemble for time steps that are a factor as long: outputs, and so changes, are in proportion."""
+        in_proportion = (*[True] * len(self.form.outputs), *self.form.factors_in_proportion)
+        scale = np.where(in_proportion, factor, 1.0).astype(np.float32)
+        weights, biases = ((*of[:-1], of[-1] * scale) for of in (self.weights, self.biases))
         return replace(self, weights=weights, biases=biases)
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)

@@ -39,7 +39,8 @@ class Conditions:
     def of_environment(self, environment: Environment) -> Environment:
         """Return the environment; networks, which predict the change in a step, change a shorter one in proportion.
 
-        That is right to first order in the time step: drag that acted over the whole step is a little too weak.
+        That is right to first order in the time step: drag that acted over the whole step is a little too weak. A law
+        that was fitted knows the time step.
         """
         if self.depth is not None:
             environment = replace(environment, depth=self.depth)

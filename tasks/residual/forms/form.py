@@ -71,7 +71,8 @@ class Form:
     """Formula: the changes of vx, vy [m/s] and ω [rad/s] in a step, by the outputs and factors, and by what is read."""
     constants: tuple[str, ...] = ()
     """What is fitted to throws, before networks learn what that leaves over."""
-    n_factors: int = 0  # number of the factors of a step that follow from the constants
+    factors_in_proportion: tuple[bool, ...] = ()
+    """Whether each of the factors of a step that follow from the constants is in proportion to the time step."""
     fit: Callable[[LinkStates, Float32, Float32, Physics], tuple[Float64, Float32]] = _nothing
     """(n_constants,) constants and (n_factors,) factors, by (n_rows,) links, their (n_rows, 3) changes, and (n_rows, 3)
     weights of squared errors."""
@@ -95,6 +96,11 @@ class Form:
 
     def __repr__(self) -> str:
         return f"Form({self.name!r})"
+
+    @property
+    def n_factors(self) -> int:
+        """Number of the factors."""
+        return len(self.factors_in_proportion)
 
     @property
     def n_errors(self) -> int:

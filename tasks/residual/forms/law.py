@@ -119,12 +119,14 @@ def _form(base: Form, act: Callable[..., Any], medium: str) -> Form:
         said = f"expected the law of a fluid with constants, any of {', '.join(fluids)}, got {medium!r}"
         raise ValueError(f"network.form: {said}")
     fluid: Any = known[medium]
+    some = fluid.model_construct(**dict.fromkeys(constants_of(fluid), 1.0))
+    half, whole = (np.array(some.factors(Physics(time_step=dt))) for dt in (0.01, 0.02))
     return replace(
         base,
         name=f"{base.name}:{medium}",
         act=formula(with_law(act, formula(fluid.law))),
         constants=tuple(constants_of(fluid)),
-        n_factors=len(fluid().factors(Physics())),
+        factors_in_proportion=tuple(np.isclose(2 * half, whole).tolist()),
         fit=functools.partial(_fit, fluid),
     )
 

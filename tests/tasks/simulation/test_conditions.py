@@ -9,7 +9,7 @@ from tasks.design import Designs, random_designs, rest_pose
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.forms import form_named
 from tasks.simulation import Conditions, simulate
-from tasks.world import DryLand, LinkStates, Physics, ResidualSlush, TrueSlush
+from tasks.world import ENVIRONMENTS, DryLand, LinkStates, Physics, ResidualSlush, TrueSlush
 
 
 def test_every_joint_of_another_start_is_a_millimetre_and_a_milliradian_off():
@@ -48,6 +48,23 @@ def test_networks_change_a_shorter_step_in_proportion(ensemble):
     for name in ("vx", "vy", "omega"):
         np.testing.assert_allclose(getattr(part, name), getattr(whole, name) / 4, rtol=1e-6)
     assert Conditions().of_environment(home) is home
+
+
+@pytest.mark.parametrize("name", ["true_slush", "flowing_slush"])
+def test_a_fitted_law_knows_the_time_step(name):
+    fluid, form = ENVIRONMENTS[name].settings(), form_named(f"law:{name}")
+    assert form.factors_in_proportion[:3] == (True, True, True) and form.factors_in_proportion[4:] in ((), (False,))
+    factors = np.array(fluid.factors(Physics()), np.float32)
+    layers = ((1, len(form.unseen), 1), (1, 1, len(factors)))
+    law = Ensemble(
+        tuple(np.zeros(of, np.float32) for of in layers), (np.zeros((1, 1), np.float32), factors[None]), form
+    )
+    links = LinkStates(*np.abs(np.random.default_rng(6).normal(size=(9, 1, 3, 6))).astype(np.float32))
+    finer = Conditions(n_substeps=4)
+    fitted = finer.of_environment(ResidualSlush(depth=3.0, ensemble=law)).medium
+    found, expected = (of.velocity_change(links, finer.of_physics(Physics())) for of in (fitted, fluid))
+    for part in ("vx", "vy", "omega"):
+        np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=1e-5, atol=1e-9)
 
 
 def test_a_medium_knows_the_time_step_itself():
