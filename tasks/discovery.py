@@ -21,6 +21,11 @@ def import_extensions(package: str, folder: Iterable[str]) -> None:
             FAILURES.append(located(error, module.name, module.name))
 
 
+def with_failures(mistake: str) -> str:
+    """Return a mistake about a name, and the files that could not be imported: one may have registered it."""
+    return "; ".join([mistake, *FAILURES])
+
+
 def register(registry: MutableMapping[str, EntryT], kind: str, name: str, entry: EntryT) -> None:
     """Add an entry to a registry of its kind; raise ValueError if the name is taken."""
     if name in registry:

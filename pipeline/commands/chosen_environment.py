@@ -15,7 +15,7 @@ from pipeline.stages.train import TRAIN
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import Files, MissingInputs
-from tasks.discovery import FAILURES
+from tasks.discovery import with_failures
 from tasks.world import EnvironmentName
 
 EnvironmentOption = Annotated[
@@ -31,8 +31,7 @@ def checked_environment(settings: Settings, environment: str | None, depth: floa
     known = {name: settings.learner(name) for name in settings.simulated_environments}
     names = [name for name, learner in known.items() if learner is None or not learner.is_single]
     if environment not in names:
-        mistake = f"--environment: expected one of {', '.join(names)}, got {environment!r}"
-        raise PuddleError("; ".join([mistake, *FAILURES]))
+        raise PuddleError(with_failures(f"--environment: expected one of {', '.join(names)}, got {environment!r}"))
     if not 0.0 <= depth <= DEEPEST:
         raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
     return environment

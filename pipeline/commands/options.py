@@ -119,7 +119,7 @@ class SettingsOptions:
         from pipeline.config.settings import RecordedSettings, Settings
         from pipeline.stages.tracked import with_tracks
         from pipeline.workflow.record import settings_of
-        from tasks.discovery import FAILURES
+        from tasks.discovery import with_failures
 
         overrides = list(self.overrides or ())
         if self.tracks and any(override.startswith("tracks.") for override in overrides):
@@ -131,7 +131,7 @@ class SettingsOptions:
             chosen = settings_of(self._record(self.study))
             if isinstance(chosen, RecordedSettings) and (to_compute or overrides):
                 mistake = f"study {self.study}: expected the code of {', '.join(chosen.missing)}, found none"
-                raise PuddleError("; ".join([mistake, *FAILURES]))
+                raise PuddleError(with_failures(mistake))
             if overrides:
                 text, name = chosen.model_dump_json(), f"the settings of study {self.study}"
                 chosen = parse(Settings, text, name=name, overrides=overrides)

@@ -18,7 +18,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from pipeline.errors import PuddleError
-from tasks.discovery import FAILURES
+from tasks.discovery import with_failures
 
 PRESETS = Path(str(files("pipeline") / "presets")).resolve()
 """Folder of the presets, which a checkout has as configs/. Only the driver reads them."""
@@ -73,7 +73,7 @@ def parse(model: type[M], content: str | bytes, *, name: str, overrides: Sequenc
         faulty = {error["loc"][:depth] for error in found for depth in range(len(error["loc"]))}
         found = [error for error in found if error["type"] != "too_short" or error["loc"] not in faulty]
         mistakes = "\n".join(_explain(model, settings, name, overrides, error) for error in found)
-        raise PuddleError("; ".join([mistakes, *FAILURES])) from None  # which may have registered what is unknown
+        raise PuddleError(with_failures(mistakes)) from None
 
 
 class _Loader(yaml.SafeLoader):

@@ -12,7 +12,7 @@ from pipeline.config.settings import RecordedSettings, Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
 from pipeline.workflow.stage import Upstream
-from tasks.discovery import FAILURES
+from tasks.discovery import with_failures
 
 
 class DrivenStudy:
@@ -92,7 +92,7 @@ def settings_of(record: StudyRecord) -> Settings:
         return recorded if recorded.missing else Settings.model_validate(record.settings, extra="ignore")
     except ValidationError as error:
         first = error.errors()[0]
-        why = "; ".join([f"{'.'.join(map(str, first['loc']))}: {first['msg']}", *FAILURES])
+        why = with_failures(f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
         raise PuddleError(
             f"study {record.name}: expected settings of this version of puddle, got those of another ({why}). "
             "The version that made the study can read them."

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
-from tasks.discovery import FAILURES
+from tasks.discovery import with_failures
 from tasks.world.environment import Environment, Pool
 from tasks.world.medium import EnsembleMedium, Medium, Networks
 from tasks.world.registry import ENVIRONMENTS
@@ -57,8 +57,7 @@ def as_environment(given: Environment | Medium | str, depth: float | None = None
     if isinstance(given, str):
         if given not in ENVIRONMENTS:
             known = f"{', '.join(ENVIRONMENTS)}, or ResidualSlush(depth, ensemble) for networks"
-            said = f"expected one of {known}, got {given!r}"
-            raise ValueError("; ".join([f"environment: {said}", *FAILURES]))
+            raise ValueError(with_failures(f"environment: expected one of {known}, got {given!r}"))
         kind = ENVIRONMENTS[given]
         return kind.environment(depth, kind.for_study(kind.settings(), 1) if kind.settings else None)
     if isinstance(given, type) or not hasattr(given, "velocity_change"):

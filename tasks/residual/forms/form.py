@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tasks.arrays import Float32, Float64, Floats
-from tasks.discovery import FAILURES, register
+from tasks.discovery import register, with_failures
 from tasks.world.medium import LinkStates, Medium
 from tasks.world.physics import Physics
 
@@ -141,7 +141,7 @@ def form_named(name: str) -> Form:
         return FAMILIES[family](medium)
     if name not in FORMS:
         said = f"network.form: expected any of {', '.join(sorted([*FORMS, *FAMILIES]))}, got {name!r}"
-        raise ValueError("; ".join([said, *FAILURES]))
+        raise ValueError(with_failures(said))
     return FORMS[name]
 
 
