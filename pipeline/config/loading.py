@@ -152,13 +152,12 @@ def _explain(model: type[BaseModel], settings: Any, name: str, overrides: Sequen
 
 
 def _other_setting(field: str, schema: Mapping[str, Any]) -> str:
-    """Name a setting of the same group that is called much like an unknown one; if there is none, those of others."""
+    """Name a setting of the same group that is called much like an unknown one, or those of its name in others."""
     group, dot, word = field.rpartition(".")
     known, of_list = _all_settings(schema, schema.get("$defs", {})), re.sub(r"\[\d+]", "", group)
     if suggestion := _did_you_mean(word, [name for owner, name in known if fnmatch.fnmatch(of_list, owner)]):
         return suggestion.replace("mean ", f"mean {group}{dot}")
-    close = difflib.get_close_matches(word, {name for _, name in known}, n=1)
-    others = [f"{owner}.{name}".lstrip(".") for owner, name in known if name in close and "*" not in owner]
+    others = [f"{owner}.{name}".lstrip(".") for owner, name in known if name == word and "*" not in owner]
     return f"; did you mean {' or '.join(others)}?" if others else ""
 
 

@@ -192,12 +192,14 @@ grid:
   environments: [dry_land, moon]
   media: [{density: 1}, {density: 0}]
   n_trails: 3
+  batches: 3
 batch: {}
 slush: [1]
 nmae: x
 """
     assert sorted(refused(text)) == [
         "lab.yaml: batch: expected a valid integer, got {}",
+        "lab.yaml: grid.batches: unknown setting",
         "lab.yaml: grid.depths[1]: expected a valid number, got {}",
         "lab.yaml: grid.depths[2]: expected a valid number, got null",
         "lab.yaml: grid.environments[1]: expected 'dry_land' or 'true_slush', got \"moon\"",
