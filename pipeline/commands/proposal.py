@@ -9,6 +9,7 @@ from pipeline.stages import environments
 from pipeline.stages.data_sets import networks_of
 from pipeline.workflow.identity import TrialId
 from pipeline.workflow.stage import MissingInputs
+from tasks.analysis.scores import by_arm
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
 from tasks.residual import arm_kind, in_order
@@ -27,10 +28,10 @@ def proposed(study: Study) -> DesignSource:
     champions = [row for row in study.trials() if np.isfinite(row.zero_shot)]
     if not champions:
         raise PuddleError(f"study {study.name!r}: no champion survived {study.settings.target_label}")
-    arms = {(row.environment, row.depth) for row in champions}
+    arms = by_arm(champions)
     order = [*_ensembles(study), *in_order(environment for environment, _ in arms)]
     environment, depth = min(arms, key=lambda arm: (order.index(arm[0]), -arm[1]))
-    rows = [row for row in champions if (row.environment, row.depth) == (environment, depth)]
+    rows = arms[environment, depth]
     zero_shot, unit = np.array([row.zero_shot for row in rows]), study.settings.evolution.maximised.unit
     chosen = nearest_the_mean(zero_shot) or 0  # there is one, because all scores are finite
     trial = rows[chosen].trial

@@ -21,7 +21,7 @@ from pipeline.report.render import as_html, typeset
 from pipeline.report.replay import Replay, encode
 from pipeline.report.study_page import FIGURES, StudyPage
 from tasks.analysis import paper
-from tasks.analysis.columns import percent, scored_by
+from tasks.analysis.columns import OfTrial, percent, scored_by
 from tasks.analysis.registry import Analysis
 from tasks.analysis.tables import ANALYSES
 from tasks.residual import arm_kind
@@ -47,7 +47,7 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
     robots = {replay.robot for replay in page.replays}
 
     def address(row: Any) -> str:  # of a row's robot on the page, if it is there
-        name = robot_address(row.environment, row.depth, row.trial) if hasattr(row, "trial") else ""
+        name = robot_address(*row.key) if isinstance(row, OfTrial) else ""
         return name if name in robots else ""
 
     def html(analysis: Analysis, rows: Sequence[Any], depth: float | None) -> Markup:
@@ -86,9 +86,8 @@ def render_page(page: StudyPage, drawings: Mapping[str, Drawing]) -> str:
 def _shown(analysis: Analysis, rows: Sequence[Any]) -> list[tuple[float | None, list[Any]]]:
     """Group the rows that the page shows by depth, the greatest first; without depths they are one group."""
     groups: dict[float | None, list[Any]] = {}
-    by_depth = analysis.name != "exploiters"  # which is ranked over all depths
     for row in filter(analysis.shown, rows):
-        groups.setdefault(getattr(row, "depth", None) if by_depth else None, []).append(row)
+        groups.setdefault(getattr(row, "depth", None) if analysis.by_depth else None, []).append(row)
     return sorted(groups.items(), key=lambda group: -(group[0] or 0.0))
 
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from tasks.arrays import Float64, Floats, Int64
 from tasks.design import Designs
+from tasks.simulation import Rollouts
 from tasks.world import Environment, Physics
 
 STEPS_PER_SECOND = 60  # steps per second of a trace with the paper's time step
@@ -78,6 +79,20 @@ def at_frames(by_step: Floats, n_settle: int) -> Float64:
     """Select from (n_steps, ...) values after each step those at a replay's frames: (n_frames, ...)."""
     # The first entry of a trace is the state after the first step, so the settled state is entry n_settle - 1.
     return by_step[max(n_settle - 1, 0) :: STEPS_PER_FRAME].astype(np.float64)
+
+
+def shown_trace(rollouts: Rollouts, environment: Environment) -> tuple[Floats, int | None]:
+    """Return the (n_steps, n_links, 6) trace of a single design; in an ensemble that of the median member, its number.
+
+    Of two members in the middle it is the lower one. Those that diverged do not count.
+    """
+    assert rollouts.trace is not None
+    if not environment.is_ensemble:
+        return rollouts.trace[0], None
+    displacement = rollouts.displacement[:, 0]
+    ranked = np.argsort(displacement, kind="stable")  # NaN, for a rollout that diverged, comes last
+    member = int(ranked[max(int(np.isfinite(displacement).sum()) - 1, 0) // 2])
+    return rollouts.trace[member, 0], member
 
 
 def replay_of(

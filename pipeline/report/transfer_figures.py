@@ -19,6 +19,7 @@ from pipeline.report.drawing import (
     show_at_least,
 )
 from pipeline.report.study_page import StudyPage, page_figure
+from tasks.analysis.scores import by_arm
 from tasks.evolution.map_elites import MEASURES, MapElites
 
 _CURVE_POINTS = 120  # generations drawn per fitness curve
@@ -41,19 +42,17 @@ def transfer_at_depth(page: StudyPage) -> Figure:
     depth = max(row.depth for row in tested)
     deepest = [row for row in tested if row.depth == depth]
     figure = Figure(figsize=(FIGURE_WIDTH, 4.1), layout="constrained")
-    axes, looks = figure.add_subplot(), page.looks
+    axes, looks, trials = figure.add_subplot(), page.looks, by_arm(page.rows("scores"))
     ticks: dict[str, float] = {}
     x = 0.0
     for row in deepest:
         look, first = looks[row.environment], x
-        trials = [
-            trial for trial in page.rows("scores") if (trial.environment, trial.depth) == (row.environment, depth)
-        ]
         for quantity in _TRANSFERS:
             mean, stated = getattr(row, quantity), getattr(row, f"paper_{quantity}")
             if mean.value is None:
                 continue
-            scores = np.array([score for trial in trials if np.isfinite(score := getattr(trial, quantity))])
+            of_arm = trials.get((row.environment, depth), ())
+            scores = np.array([score for trial in of_arm if np.isfinite(score := getattr(trial, quantity))])
             fill, hatch = (look.adapted, "////") if quantity == "adapted" else (look.color, "")
             axes.bar(x, mean.value, 0.62, ec=look.color, lw=1.0, fc=fill, hatch=hatch)
             axes.errorbar(x, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from pipeline.errors import PuddleError
 from pipeline.report.films import RENDERERS
-from pipeline.report.replay import replay_of
-from pipeline.stages.replays import median_member
+from pipeline.report.replay import replay_of, shown_trace
 from pipeline.store import disk
 from tasks.design import Designs
 from tasks.simulation import OK, simulate
@@ -50,11 +49,9 @@ def film(
     rollouts = simulate(design, environment, n_settle=n_settle, n_measure=n_measure, trace=True, physics=physics)
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is nothing to show")
-    assert rollouts.trace is not None
-    trace = rollouts.trace[median_member(rollouts.displacement[:, 0])] if environment.is_ensemble else rollouts.trace
     replay = replay_of(
         design,
-        trace[0],
+        shown_trace(rollouts, environment)[0],
         environment,
         title=path.stem,
         seen_in="air" if environment.medium is None else type(environment.medium).__name__,

@@ -6,13 +6,11 @@ import numpy as np
 
 from pipeline.report.page import robot_address
 from pipeline.report.palette import looks_of
-from pipeline.report.replay import Replay, at_frames, replay_of
+from pipeline.report.replay import Replay, at_frames, replay_of, shown_trace
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.reader import StudyReader
-from pipeline.workflow.identity import arms_of
 from tasks.analysis.hallucination import disagreement_along
-from tasks.analysis.scores import Champion
-from tasks.arrays import Float64
+from tasks.analysis.scores import Champion, by_arm
 from tasks.design import Designs
 from tasks.evolution.map_elites import CELL, measure_bodies
 from tasks.residual import arm_kind
@@ -63,10 +61,7 @@ def best_replays(study: StudyReader) -> list[Replay]:
 
 def _arms(study: StudyReader) -> list[list[Champion]]:
     """Return the champions of each arm that has some, the deepest first."""
-    by_arm = {(arm.environment, arm.depth): list[Champion]() for arm in arms_of(study.spec.trials)}
-    for champion in study.champions:
-        by_arm[champion.environment, champion.depth].append(champion)
-    return sorted((own for own in by_arm.values() if own), key=lambda own: -own[0].depth)
+    return sorted(by_arm(study.champions).values(), key=lambda champions: -champions[0].depth)
 
 
 def _best_of(study: StudyReader, own: list[Champion]) -> list[Replay]:
@@ -88,7 +83,7 @@ def _best_of(study: StudyReader, own: list[Champion]) -> list[Replay]:
 
 
 def _address(champion: Champion) -> str:
-    return robot_address(champion.environment, champion.depth, champion.trial)
+    return robot_address(*champion.key)
 
 
 def _at_target(study: StudyReader, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
@@ -151,18 +146,16 @@ def replay_in(
         ensemble: whose members' disagreement to show, if any.
         number: of the network in its data set, where it is not its place in the ensemble.
     """
-    assert rollouts.trace is not None
     physics, n_settle = simulation.physics, simulation.rollout.n_settle
-    member = median_member(rollouts.displacement[:, 0]) if environment.is_ensemble else None
-    trace = rollouts.trace if member is None else rollouts.trace[member]
+    trace, member = shown_trace(rollouts, environment)
     if not np.isfinite(trace).all():
         return None
     doubts = None
     if ensemble is not None and ensemble.n_members > 1:
-        doubts = at_frames(disagreement_along(design, trace, ensemble, physics)[0], n_settle)
+        doubts = at_frames(disagreement_along(design, trace[None], ensemble, physics)[0], n_settle)
     replay = replay_of(
         design,
-        trace[0],
+        trace,
         environment,
         title=title,
         seen_in=kind.label if member is None else f"{kind.label} (member {member if number is None else number})",
@@ -171,9 +164,3 @@ def replay_in(
         time_step=physics.time_step,
     )
     return replace(replay, command=kind.name if member is None or number is None else "", disagreement=doubts)
-
-
-def median_member(values: Float64) -> int:
-    """Return the member with the median of (n_members,) values, the lower of two; non-finite values are ignored."""
-    ranked = np.argsort(values, kind="stable")  # NaN, for a rollout that diverged, comes last
-    return int(ranked[max(int(np.isfinite(values).sum()) - 1, 0) // 2])

@@ -10,7 +10,7 @@ from pipeline.config.settings import Settings, WorkSettings
 from pipeline.report.page import draw_all, heroes, render_page, render_robot, robot_address
 from pipeline.report.render import tables_of, typeset
 from pipeline.report.replay import FILM_FPS
-from pipeline.report.study_page import Curves, StudyPage, ThrowPaths
+from pipeline.report.study_page import StudyPage, ThrowPaths
 from pipeline.stages import divergence, segments
 from pipeline.stages.analyse import tables_of_study
 from pipeline.stages.reader import DataSpec, StudyReader, data_spec, inputs_of, read_inputs, read_study
@@ -20,8 +20,7 @@ from pipeline.store.encoding import encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.provenance import environment as provenance
 from pipeline.store.store import Store
-from pipeline.store.tables import Columns
-from pipeline.workflow.identity import OutputId, TrialId, trials_of
+from pipeline.workflow.identity import OutputId, TrialId, arms_of, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -35,7 +34,6 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.analysis.scores import Champion
-from tasks.arrays import Float64
 from tasks.residual import Transitions
 
 PAGE = "index.html"  # the page's file
@@ -145,8 +143,7 @@ def _page(spec: PageItemSpec, study: StudyReader) -> Files:
     drawings = draw_all(page)
     files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables, settings.evolution.maximised)}
     for champion in study.champions:
-        address = robot_address(champion.environment, champion.depth, champion.trial)
-        files[f"{address}.json"] = design_json(champion.design)
+        files[f"{robot_address(*champion.key)}.json"] = design_json(champion.design)
     files |= {f"{replay.robot}.json": design_json(design) for design, replay in elites}
     for champion in _proposed(page, study):
         name = f"{PROPOSED}{champion.environment}-{champion.depth:g}m".replace(".", "_")  # one dot in a file name
@@ -167,7 +164,10 @@ def _study_page(spec: PageItemSpec, study: StudyReader) -> StudyPage:
     return StudyPage(
         settings=settings,
         tables=tables_of_study(study, settings),
-        curves=_by_arm(curves),
+        curves={
+            (arm.environment, arm.depth): [curves[trial]["best_fitness"] for trial in trials]
+            for arm, trials in arms_of(list(curves)).items()
+        },
         assessed={name: designs for name, designs in assessed.items() if designs is not None},
         throws=None if study.throws is None else _paths(study.throws),
         rejected={operator: rejected / drawn for operator, (drawn, rejected) in draws if rejected},
@@ -190,18 +190,8 @@ def read_page(settings: Settings, upstream: Upstream, store: Store) -> StudyPage
 
 def _proposed(page: StudyPage, study: StudyReader) -> list[Champion]:
     """Return the champion of each arm that is proposed for building; none without a tank."""
-    chosen = {(row.environment, row.depth, row.trial) for row in page.rows("tank") if row.proposed}
-    return [
-        champion for champion in study.champions if (champion.environment, champion.depth, champion.trial) in chosen
-    ]
-
-
-def _by_arm(evolved: Mapping[TrialId, Columns]) -> Curves:
-    """Return the best fitness by generation of each trial, by arm."""
-    curves: dict[tuple[str, float], list[Float64]] = {}
-    for trial, curve in evolved.items():
-        curves.setdefault((trial.environment, trial.depth), []).append(curve["best_fitness"])
-    return curves
+    chosen = {row.key for row in page.rows("tank") if row.proposed}
+    return [champion for champion in study.champions if champion.key in chosen]
 
 
 def _paths(throws: Transitions) -> ThrowPaths:

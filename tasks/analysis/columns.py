@@ -69,3 +69,8 @@ class OfTrial(OfArm):
     """The first columns of a table about champions."""
 
     trial: int = column("trial", form="{}")
+
+    @property
+    def key(self) -> tuple[EnvironmentName, float, int]:
+        """Environment, depth [m] and number: what tells trials of a study from one another."""
+        return self.environment, self.depth, self.trial

@@ -37,6 +37,7 @@ class Analysis:
     section: Section = ""
     each: Literal["study", "arm"] = "study"  # what one work item covers
     version: int = 1  # raised when the same results would give other rows than before
+    by_depth: bool = True  # whether the page shows the rows depth by depth, if they have depths
     shown: Callable[[Any], bool] = lambda row: True  # rows that the page shows
     metrics: Callable[[Sequence[Any]], Mapping[str, float | None]] = lambda rows: {}  # by which MLflow compares studies
     needs_tank: bool = False  # whether it is about the virtual tank, which few studies have

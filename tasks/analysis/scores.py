@@ -1,18 +1,19 @@
 """Scores of a study's champions by its objective, one row for each trial, and the names of what they are."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
-from tasks.analysis.columns import SCORE, OfTrial, ScoreUnit, column
+from tasks.analysis.columns import SCORE, OfArm, OfTrial, ScoreUnit, column
 from tasks.analysis.estimates import Sample, sample_of
 from tasks.design import Designs
 from tasks.residual.learner import arm_kind, in_order
 from tasks.world import EnvironmentName
 
+RowT = TypeVar("RowT", bound=OfArm)
 Quantity = Literal["predicted", "zero_shot", "adapted"]
 """Score where a champion evolved; in the target; in the target with a controller that evolved there."""
 QUANTITIES: Mapping[Quantity, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}
@@ -57,14 +58,21 @@ class Champion(ScoredTrial):
 
 def sample(trials: Sequence[ScoredTrial], arm: ScoredArm, depth: float) -> Sample:
     """Return the finite values of an arm at a depth [m] by trial number, with their replicates."""
-    own = [one for one in trials if (one.environment, one.depth) == (arm[0], depth)]
-    own.sort(key=lambda one: one.trial)
-    values, replicate = ([getattr(one, name) for one in own] for name in (arm[1], "replicate"))
+    of_arm = sorted(by_arm(trials).get((arm[0], depth), ()), key=lambda row: row.trial)
+    values, replicate = ([getattr(row, name) for row in of_arm] for name in (arm[1], "replicate"))
     return sample_of(np.array(values, dtype=np.float64), np.array(replicate, dtype=np.int64))
+
+
+def by_arm(rows: Iterable[RowT]) -> dict[tuple[EnvironmentName, float], list[RowT]]:
+    """Group rows by environment and depth [m], in the order of their first rows."""
+    groups: dict[tuple[EnvironmentName, float], list[RowT]] = {}
+    for row in rows:
+        groups.setdefault((row.environment, row.depth), []).append(row)
+    return groups
 
 
 def arms(trials: Sequence[ScoredTrial], target: EnvironmentName = "") -> list[tuple[EnvironmentName, float]]:
     """Return the environments and depths that there are, in the order of listings, the greatest depth first."""
-    known = {(one.environment, one.depth) for one in trials}
+    known = by_arm(trials)
     depths, names = sorted({depth for _, depth in known}, reverse=True), in_order((name for name, _ in known), target)
     return [(name, depth) for depth in depths for name in names if (name, depth) in known]

@@ -50,7 +50,7 @@ def tank(study: StudyData) -> list[TankRow]:
     tests: tuple[tuple[Environment, Physics], ...] = ((filled, physics), (drained, physics), (drained, with_servo))
     rows = []
     for i, champion in enumerate(champions):
-        rng = study.rng("tank", champion.environment, champion.depth, champion.trial)
+        rng = study.rng("tank", *champion.key)
         tries = restarted(champion.design, tank.n_trials, rng)
         found = []
         for at, under in tests:
@@ -58,9 +58,7 @@ def tank(study: StudyData) -> list[TankRow]:
             found.append(crossings(tries, rollouts, tank, n_settle=study.settings.n_settle))
         rows.append(
             TankRow(
-                champion.environment,
-                champion.depth,
-                champion.trial,
+                *champion.key,
                 i == chosen,
                 champion.zero_shot,
                 100 * float(tank.scale * found[0].length[0]),
