@@ -37,7 +37,7 @@ from pipeline.store.tables import Columns
 from pipeline.workflow.identity import ChainId, InputName, TrialId, arms_of, trials_of
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Results, Sources, StoredFiles, Upstream
 from tasks.analysis.scores import Champion, ScoredTrial
-from tasks.analysis.study import AnalysisSettings, Assessed
+from tasks.analysis.study import AnalysisSettings, Assessed, StudyData
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES, Objective, Population
@@ -182,11 +182,8 @@ def read_study(settings: Settings, upstream: Upstream, store: Store) -> "StudyRe
 
 
 @dataclass(frozen=True, eq=False)
-class StudyReader:
-    """The contents of a study or of some of its trials, decoded when they are asked for.
-
-    It is what an analysis may use; see :class:`tasks.analysis.study.StudyData`.
-    """
+class StudyReader(StudyData):
+    """The contents of a study or of some of its trials, decoded when they are asked for."""
 
     spec: DataSpec
     execution: Execution
@@ -361,7 +358,7 @@ class StudyReader:
 
     def trial_of(self, champion: Champion) -> TrialId:
         """Return a champion's trial."""
-        return self._trials[champion.environment, champion.depth, champion.trial]
+        return self._trials[champion.key]
 
     def data_set(self, champion: Champion | None) -> DataSetId:
         """Return the data set whose ensemble serves a champion; by default the main one."""
