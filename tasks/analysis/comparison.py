@@ -19,14 +19,13 @@ import numpy as np
 import scipy
 
 from tasks.analysis.columns import SCORE, column
-from tasks.analysis.estimates import Estimate, Mean, Sample, error_of, mean_of, sum_of_means
+from tasks.analysis.estimates import LEVEL, Estimate, Mean, Sample, error_of, mean_of, sum_of_means
 from tasks.analysis.paper import NEGLIGIBLE
 from tasks.analysis.scores import QUANTITIES, ScoredArm, ScoredTrial, arm_name, sample
 from tasks.world import EnvironmentName
 
 Verdict = Literal["agrees", "differs", "cannot tell", "identical"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)[:3]  # of a test; arms of the very same trials need none
-_LEVEL = 0.05  # of the tests
 
 
 def judge(effect: Estimate, low: float, high: float) -> Verdict:
@@ -89,7 +88,7 @@ def compare(
 
 
 def _after_correction(row: Comparison, p_holm: float | None) -> Verdict:
-    return "cannot tell" if row.verdict == "differs" and p_holm is not None and p_holm >= _LEVEL else row.verdict
+    return "cannot tell" if row.verdict == "differs" and p_holm is not None and p_holm >= 1 - LEVEL else row.verdict
 
 
 def _compared(x: Sample, y: Sample, a: ScoredArm, b: ScoredArm, depth: float, best: Sample) -> Comparison:

@@ -33,7 +33,7 @@ from numpy.random import Generator
 
 from tasks.arrays import Float64, Floats, Int64
 
-LEVEL = 0.95  # confidence level of every interval
+LEVEL = 0.95  # confidence level of every interval; tests are at 1 - LEVEL
 RESOLUTION = 1e-6  # smallest meaningful displacement [m]: positions are of single precision, 5e-7 m at 8 m
 _N_RESAMPLES = 2000  # a 2.5 % tail then has 50 resamples, so its position is known to about 14 % of the tail
 _MIN_VALUES = 3  # fewest values of a bootstrap interval

@@ -23,7 +23,7 @@ import numpy as np
 import scipy
 from numpy.random import Generator
 
-from tasks.analysis import paper as stated
+from tasks.analysis import paper as published
 from tasks.analysis.columns import column
 from tasks.analysis.comparison import VERDICTS, Verdict, compare, holm, judge, p_value
 from tasks.analysis.estimates import (
@@ -104,18 +104,18 @@ def _name(arm: ScoredArm) -> str:
 
 
 def _means(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
-    for arm, (value, source) in stated.MEANS.items():
+    for arm, (value, source) in published.MEANS.items():
         own, what = sample(trials, arm, DEPTH), f"{_name(arm)} at {DEPTH:g} m [m]"
-        found, bound = sum_of_means(own), stated.NEGLIGIBLE * stated.MEANS[BEST][0]
+        found, bound = sum_of_means(own), published.NEGLIGIBLE * published.MEANS[BEST][0]
         yield from _number(what, value, "{:z.1f}", source, found, bound, _widened(own) if found.interval else 1.0)
 
 
 def _ratios(trials: Sequence[ScoredTrial], rng: Generator) -> Iterator[PaperRow]:
-    for arm, (value, source) in stated.RATIOS.items():
+    for arm, (value, source) in published.RATIOS.items():
         part, whole = sample(trials, arm, DEPTH), sample(trials, BEST, DEPTH)
         found, what = ratio(part, whole, rng=rng), f"{_name(arm)} / {_name(BEST)} at {DEPTH:g} m"
         wider = _widened(*linearised(part, whole)) if found.interval else 1.0
-        yield from _number(what, value, "{:z.0%}", source, found, stated.NEGLIGIBLE_RATIO, wider)
+        yield from _number(what, value, "{:z.0%}", source, found, published.NEGLIGIBLE_RATIO, wider)
 
 
 def _widened(*samples: Sample) -> float:
@@ -147,9 +147,9 @@ def _figures(study: StudyData) -> Iterator[PaperRow]:
     n_trials, n_replicates = len(np.unique(assessed.trial)), len(np.unique(assessed.replicate))
     wider = math.sqrt(1 + n_trials * n_replicates / N_ASSESSED)  # R replicates' mean has at least 1/R of the variance
     rows = {row.name: row for row in regressions_of(study, data_set)}
-    for (predictor, figure), (value, source) in stated.AGGREGATES.items():
+    for (predictor, figure), (value, source) in published.AGGREGATES.items():
         what, found = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m", getattr(rows[predictor], figure)
-        yield from _number(what, value, "{:z.2f}", source, found, stated.NEGLIGIBLE_FIGURE[figure], wider)
+        yield from _number(what, value, "{:z.2f}", source, found, published.NEGLIGIBLE_FIGURE[figure], wider)
 
 
 def _number(
@@ -169,15 +169,15 @@ def _statements(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     """Judge the paper's statements about t tests, as one family."""
     found = [
         (statement, row)
-        for statement in stated.STATEMENTS
+        for statement in published.STATEMENTS
         for row in reversed(compare(trials, trials, [(statement.a, statement.b)], BEST[0]))
         if row.depth in statement.depths and row.p is not None
     ]
     for (statement, row), p in zip(found, holm([row.p for _, row in found]), strict=True):
         assert p is not None
-        verdict, claim, limit = row.verdict, statement.claim, f"> {stated.INSIGNIFICANT:g}"
+        verdict, claim, limit = row.verdict, statement.claim, f"> {published.INSIGNIFICANT:g}"
         if claim != "no difference":
-            limit = f"< {stated.SIGNIFICANT:g}"
+            limit = f"< {published.SIGNIFICANT:g}"
             if p < 1 - LEVEL:
                 verdict = "agrees" if ((row.difference.value or 0.0) > 0) == (claim == "greater") else "differs"
             else:
