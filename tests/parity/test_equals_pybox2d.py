@@ -10,7 +10,7 @@ from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, 
 from links_in_box2d import ReferenceFreeLinks
 
 from tasks.design import Morphology, random_designs
-from tasks.residual.forms import FORMS
+from tasks.residual.forms import FORMS, form_named
 from tasks.simd import rotation
 from tasks.simd.lanes import widest
 from tasks.simulation import batch, free_links
@@ -133,12 +133,15 @@ def test_media_that_kernels_do_not_have(environment: Environment, engine, same_l
 
 
 @pytest.mark.parametrize("trace", [True, False])
-@pytest.mark.parametrize(("form", "depth"), [*((name, 0.7) for name in sorted(FORMS)), ("wetted", 4.0)])
+@pytest.mark.parametrize(
+    ("form", "depth"),
+    [*((name, 0.7) for name in (*sorted(FORMS), "law:flowing_slush", "law_and_network")), ("wetted", 4.0)],
+)
 def test_residual_slush_of_networks(form, depth: float, trace: bool, engine, same_libm: None, seed: int) -> None:
     """Without a trace, networks and engine are one kernel, whose vectors of 33 designs are partly those of both."""
     rng = np.random.default_rng(seed)
     designs = random_designs(N_DESIGNS if trace else 33, rng)
-    environment = ResidualSlush(depth, networks(rng, FORMS[form]))
+    environment = ResidualSlush(depth, networks(rng, form_named(form)))
     assert_equal(designs, environment, Physics(**engine), n_settle=20, n_measure=100, trace=trace)
 
 

@@ -55,7 +55,7 @@ class Slushes:
 
 def networks(rng: np.random.Generator, form: Form = PLAIN) -> Ensemble:
     """Create three untrained networks with changes as large as the slush's."""
-    sizes = (len(form.inputs), 40, 40, len(form.outputs))
+    sizes = (len(form.inputs) + len(form.unseen), 40, 40, len(form.outputs) + form.n_factors)
     weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     weights[-1] *= np.float32(0.05)
     biases = [(0.01 * rng.normal(size=(3, b))).astype(np.float32) for b in sizes[1:]]

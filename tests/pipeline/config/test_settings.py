@@ -29,6 +29,8 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         "single_member": {"single": "residual_slush"},
         "designed_throws": {"throws": few},
         "designed_single_member": {"single": "designed_throws"},
+        "law": {"network": {"form": "law"}},
+        "law_and_network": {"network": {"form": "law_and_network"}},
         "tank_model": {"mean": "residual_slush"},
         "fifty": stated,
         "one_of_fifty": {"single": "fifty"},
@@ -66,6 +68,13 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (
             ["learners.a.network.form=wet"],
             "learners.a.network.form: expected any of law, law_and_network, plain, signed_angle, wetted, got 'wet'",
+        ),
+        (["network.form=law:honey"], "network.form: expected the law of a fluid with constants, any of true_slush"),
+        (["learners.a.network.form=law:dry_land"], "learners.a.network.form: expected the law of a fluid"),
+        (
+            ["throws.n_throws=2", "grid.environments=[true_slush,law]"],
+            "throws.n_throws is 2 for law, but law:true_slush has the constants density, linear_drag, angular_drag: "
+            "expected at least 3",
         ),
         (["learners.a.network.frm=plain"], "unknown setting; did you mean learners.a.network.form?"),
         (["slush.decay=3"], "--set slush.decay=3: slush.decay: unknown setting; did you mean training.decay?"),

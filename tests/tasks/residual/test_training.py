@@ -37,7 +37,7 @@ def synthetic(n_throws, n_steps, residual_of, seed=0):
         next_on_dry_land=none,
         residual=none,
     )
-    return replace(drawn, residual=residual_of(observe(PLAIN, drawn.links), rng).astype(np.float32))
+    return replace(drawn, residual=residual_of(observe(PLAIN, drawn.links(Physics())), rng).astype(np.float32))
 
 
 @pytest.fixture(scope="module")
