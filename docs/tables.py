@@ -13,6 +13,7 @@ from dataclasses import Field, make_dataclass
 from os.path import relpath
 from pathlib import Path
 from statistics import fmean
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from pipeline.report.render import as_markdown
 from tasks.analysis import paper
 from tasks.analysis.columns import column
 from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
+from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.tables import ANALYSES
 from tasks.analysis.tables.transfer import papers_mean
 from tasks.residual import arm_kind
 
@@ -73,7 +76,7 @@ def shares(study: Results) -> Iterable[tuple[Any, ...]]:
     for arm in study["arms"]:
         name, zero_shot = arm["environment"], arm["zero_shot"]["mean"]
         if name == "true_slush" and arm["depth"] == paper.DEPTH:
-            yield _label(name), None, zero_shot, None, None
+            yield _label(name), None, zero_shot, None, _of_best(study, name, "adapted")
         elif name != "designed_single_member" and arm["depth"] == paper.DEPTH:
             of = (_of_best(study, name, score) for score in ("zero_shot", "adapted"))
             yield _label(name), arm["predicted"]["mean"], zero_shot, *of
@@ -107,18 +110,24 @@ def depths(study: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate the zero-shot shares of *E* at all depths."""
     arms = {(arm["environment"], arm["depth"]): arm["zero_shot"]["mean"] for arm in study["arms"]}
     for depth in sorted({depth for _, depth in arms}):
-        best, names = arms["true_slush", depth], ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
-        yield depth, best, *(arms[name, depth] / best for name in names)
+        names = ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
+        yield depth, arms["true_slush", depth], *(_of_best(study, name, "zero_shot", depth) for name in names)
 
 
 @table(
     text(""), text("paper"), text("8 of 4 × 256 (95 %)"), text("verdict"), text("4 of 2 × 48 (95 %)"), text("verdict")
 )
 def verdicts(*studies: Results) -> Iterable[tuple[Any, ...]]:
-    """Compare the paper's numbers, other than t tests, with those of studies of large and of small networks."""
+    """Compare the paper's numbers, other than t tests, with those of studies of large and of small networks.
+
+    *E* is that of the last study, which has more trials of it.
+    """
+    best = [row for row in studies[-1]["champions"] if row["environment"] == "true_slush"]
     rows: dict[tuple[str, str], list[Any]] = {}
     for k, study in enumerate(studies):
-        for row in study["comparison"]:
+        others = [row for row in study["champions"] if row["environment"] != "true_slush"]
+        anew = {row["what"]: row for row in _compared({**study, "champions": [*best, *others]}, "True Slush")}
+        for row in (anew.get(row["what"], row) for row in study["comparison"]):
             if row["interval"] and not row["what"].startswith("Student"):
                 what = re.sub(",? at 9 m", "", row["what"])
                 shown = rows.setdefault((what, row["paper"]), [None] * 2 * len(studies))
@@ -135,27 +144,29 @@ def verdicts(*studies: Results) -> Iterable[tuple[Any, ...]]:
     shares_by("by data set"),
     text("exploiters"),
 )
-def variants(results: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate studies that differ in one setting."""
+def variants(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate studies that differ in one setting; shares are of the same *E*, that of a study with more trials."""
     for study in results["studies"]:
-        best = fmean(_sample(study, "true_slush", "zero_shot", None).values)
+        depth = study["arms"][0]["depth"]
+        best = fmean(_sample(whole, "true_slush", "zero_shot", depth).values)
         for arm in (arm for arm in study["arms"] if arm["environment"] != "true_slush"):
             name, (predicted, true) = arm["environment"], (arm[of]["mean"] for of in ("predicted", "zero_shot"))
             by_data_set = _by_data_set(_sample(study, name, "zero_shot", None), best)
             varied = study["variant"] if "throws" in study["series"] else f"{study['series']} {study['variant']}"
-            yield varied, _label(name), predicted, true, true / best, by_data_set, _exploiters([study], name)
+            share_of_best = _of_best(study, name, "zero_shot", depth, best_of=whole)
+            yield varied, _label(name), predicted, true, share_of_best, by_data_set, _exploiters([study], name)
 
 
 @table(
     text("throws"), share("9 m, of *E*"), share("adapted"), share("2 m, of *E*"), share("adapted"), text("exploiters")
 )
-def throws(results: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate studies of designed throws that differ in throws, networks and depth."""
+def throws(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate studies of designed throws that differ in throws, networks and depth, by the *E* of a larger study."""
     name, studies = "designed_throws", {(one["form"], one["n_throws"], one["depth"]): one for one in results["studies"]}
     for form, n_throws in dict.fromkeys(key[:2] for key in studies):
         by_depth = {depth: study for (*what, depth), study in studies.items() if what == [form, n_throws]}
         of_best = [
-            _of_best(by_depth[depth], name, score, depth) if depth in by_depth else None
+            _of_best(by_depth[depth], name, score, depth, best_of=whole) if depth in by_depth else None
             for depth in (9.0, 2.0)
             for score in ("zero_shot", "adapted")
         ]
@@ -166,9 +177,9 @@ def throws(results: Results) -> Iterable[tuple[Any, ...]]:
 def fluids(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate studies whose target is another fluid."""
     for study in results["studies"]:
-        best = _sample(study, study["fluid"], "zero_shot", study["depth"])
-        learned = (_sample(study, name, "zero_shot", study["depth"]) for name in ("t25", "t100"))
-        yield study["label"], fmean(best.values), *(_ratio(of, best) for of in learned)
+        best, *learned = (_sample(study, name, "gain", study["depth"]) for name in (study["fluid"], "t25", "t100"))
+        travelled = fmean(_sample(study, study["fluid"], "zero_shot", study["depth"]).values)
+        yield study["label"], travelled, *(_ratio(of, best) for of in learned)
 
 
 @table(
@@ -248,11 +259,38 @@ def _exploiters(studies: Iterable[Results], environment: str) -> str:
 
 
 def _sample(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
-    """Return the champions of an arm at a depth, or all; those that learned from the same data set belong together."""
-    rows = [row for row in study["champions"] if row["environment"] == environment and depth in (row["depth"], None)]
+    """Return the champions of an arm at a depth, or all; those that learned from the same data set belong together.
+
+    A gain is what is travelled beyond the same bodies with motors off, where that was measured.
+    """
+    rows = [
+        row | {"gain": row["zero_shot"] - row.get("passive", 0.0)}
+        for row in study["champions"]
+        if row["environment"] == environment and depth in (row["depth"], None)
+    ]
     learned = environment != study.get("fluid") and arm_kind(environment).learned
     n_data_sets = study["n_replicates"] if learned else 1
     return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows]))
+
+
+def _compared(study: Results, arm: str) -> list[dict[str, Any]]:
+    """Compare a study's means and shares of an arm with the paper's anew, as its results file has them."""
+    trials = [
+        ScoredTrial(
+            name, row["depth"], row["trial"], row["trial"] % n, zero_shot=row["zero_shot"], adapted=row["adapted"]
+        )
+        for row in study["champions"]
+        for name in [row["environment"]]
+        for n in [study["n_replicates"] if arm_kind(name).learned else 1]
+    ]
+    settings, rng = SimpleNamespace(data_sets=(), assessed_depth=paper.DEPTH), lambda *_: np.random.default_rng(0)
+    rows: Any = ANALYSES["paper"].compute(SimpleNamespace(trials=trials, settings=settings, rng=rng))  # type: ignore[arg-type]
+    written = (row.this_run.partition(" (") for row in rows)
+    return [
+        {"what": row.what, "paper": row.paper, "this_run": value, "interval": ends[:-1], "verdict": row.verdict}
+        for row, (value, _, ends) in zip(rows, written, strict=True)
+        if row.kind == "number" and arm in row.what
+    ]
 
 
 def _ratio(part: Sample, whole: Sample) -> Estimate:

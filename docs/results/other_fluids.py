@@ -1,5 +1,7 @@
 """Three fluids that wetted networks were not made for; docs/throws.md says how well they do there.
 
+other-fluids.json has ``mass_carried_along`` as ``added_mass``, which it is not: joints move the link alone.
+
 ``--with docs/results/other_fluids.py`` registers them, and ``--set target=point_drag`` throws links into one.
 """
 
@@ -46,7 +48,7 @@ class PointDrag(Parameters):
         return VelocityChange(*(change.reshape(shape) for change in changes))
 
 
-class AddedMass(Slush):
+class MassCarriedAlong(Slush):
     """The slush, of which a link carries some along: gravity, buoyancy and drag move both, joints the link alone."""
 
     carried: float = Field(default=0.5, ge=0.0, le=100.0)
@@ -85,5 +87,5 @@ class LayeredSlush(Slush):
 
 
 register_medium("point_drag", PointDrag, "Point Drag")
-register_medium("added_mass", AddedMass, "Added Mass")
+register_medium("mass_carried_along", MassCarriedAlong, "Mass Carried Along")
 register_medium("layered_slush", LayeredSlush, "Layered Slush")
