@@ -67,7 +67,7 @@ class Study:
     settings: Settings
 
     def __repr__(self) -> str:
-        done = ", ".join(f"{stage} {one.done} of {sum(vars(one).values())}" for stage, one in self.progress.items())
+        done = ", ".join(f"{stage} {n.done} of {sum(vars(n).values())}" for stage, n in self.progress.items())
         return f"Study {self.name} in {self.store.root}\n  done: {done}\n  tables: {', '.join(self.tables)}"
 
     def _repr_html_(self) -> str:
@@ -104,14 +104,14 @@ class Study:
     @property
     def progress(self) -> dict[str, StageProgress]:
         """Work items that are done, failed and missing, by stage."""
-        found = {}
+        counts = {}
         for name, chains in self._recorded.chains.items():
-            labels = {one.label for one in self.record.failed if one.stage == name}
-            n_left = {one.chain.label: one.chain.n_items - len(one.manifests) for one in chains}
+            labels = {failure.label for failure in self.record.failed if failure.stage == name}
+            n_left = {state.chain.label: state.chain.n_items - len(state.manifests) for state in chains}
             n_failed = sum(n for label, n in n_left.items() if label in labels)
-            n_done = sum(len(one.manifests) for one in chains)
-            found[name] = StageProgress(n_done, n_failed, sum(n_left.values()) - n_failed)
-        return found
+            n_done = sum(len(state.manifests) for state in chains)
+            counts[name] = StageProgress(n_done, n_failed, sum(n_left.values()) - n_failed)
+        return counts
 
     @property
     def tables(self) -> list[str]:
@@ -235,8 +235,8 @@ class Study:
         elif environment not in self.settings.simulated_environments:
             known = ", ".join(self.settings.simulated_environments)
             raise PuddleError(f"study {self.name}: environment: expected one of {known}, got {environment!r}")
-        own = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)
-        networks = environments.read_networks(own, self.upstream, self.store)
+        of_trial = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)
+        networks = environments.read_networks(of_trial, self.upstream, self.store)
         spec = environments.simulation_spec(self.settings, environment)
         at = environments.build_environment(spec.media, environment, depth, networks)
         return environments.roll_out(spec, Execution(self.settings.work.engine), at, designs, trace=trace)
@@ -254,7 +254,7 @@ class Study:
         """
         known = data_sets(self.settings)
         name = learner or next((data_set.learner for data_set in known), "residual_slush")
-        wanted = [one for one in known if one == DataSetId(name, replicate)]
+        wanted = [data_set for data_set in known if data_set == DataSetId(name, replicate)]
         if not wanted:
             listed = ", ".join(data_set.label for data_set in known) or "none: no arm of its grid learns from throws"
             raise PuddleError(f"study {self.name} has networks of {listed}; got replicate {replicate} of {name}")
@@ -267,7 +267,7 @@ class Study:
         for key, value in only.items():
             known = list(dict.fromkeys(trial[key] for trial in trials))
             if value not in known:
-                listed = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in known)
+                listed = ", ".join(f"{choice:g}" if isinstance(choice, float) else str(choice) for choice in known)
                 raise PuddleError(f"{where}: {key}: expected one of {listed}, got {value!r}")
             trials, where = [trial for trial in trials if trial[key] == value], f"{where}, {key} {value}"
 

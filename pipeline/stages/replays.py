@@ -22,11 +22,12 @@ from tasks.world.registry import ArmKind
 def replays_of(study: StudyReader) -> list[Replay]:
     """Return replays of every champion in the target, the best of each arm first, and also where it evolved."""
     replays: list[Replay] = []
-    for own in _arms(study):
-        best = _best_of(study, own)
+    for champions in _arms(study):
+        best = _best_of(study, champions)
         filmed = {replay.robot for replay in best if replay.in_target}
-        rest = (one for one in own if np.isfinite(one.zero_shot) and _address(one) not in filmed)
-        others = [_at_target(study, one) for one in sorted(rest, key=lambda one: -one.zero_shot)]
+        known = [champion for champion in champions if np.isfinite(champion.zero_shot)]
+        known.sort(key=lambda champion: -champion.zero_shot)
+        others = [_at_target(study, champion) for champion in known if _address(champion) not in filmed]
         replays += [*best, *(replay for replay in others if replay)]
     return replays
 
@@ -43,20 +44,20 @@ def elite_replays(study: StudyReader) -> list[tuple[Designs, Replay]]:
             if cell not in fittest or fitness > fittest[cell].fitness:
                 design = population.designs[i]
                 fittest[cell] = Champion(environment, depth, trial, 0, fitness, fitness, design=design)
-    found = []
+    replays = []
     for cell, elite in sorted(fittest.items()):
         if replay := _at_target(study, elite):
             length, size = measure_bodies(elite.design)[0]
             address = f"elite-{cell[0]}-{cell[1]}"
             title = f"{length:.1f} m long, links of {size:.1f} m, trial {elite.trial}"
             shown = replace(replay, title=title, robot=address, group=f"Elites, {depth:g} m", in_target=False)
-            found.append((elite.design, shown))
-    return found
+            replays.append((elite.design, shown))
+    return replays
 
 
 def best_replays(study: StudyReader) -> list[Replay]:
     """Return replays in the target of the best champion of every arm, for the film of the first screen."""
-    return [replay for own in _arms(study) for replay in _best_of(study, own) if replay.in_target]
+    return [replay for champions in _arms(study) for replay in _best_of(study, champions) if replay.in_target]
 
 
 def _arms(study: StudyReader) -> list[list[Champion]]:
@@ -64,16 +65,16 @@ def _arms(study: StudyReader) -> list[list[Champion]]:
     return sorted(by_arm(study.champions).values(), key=lambda champions: -champions[0].depth)
 
 
-def _best_of(study: StudyReader, own: list[Champion]) -> list[Replay]:
+def _best_of(study: StudyReader, champions: list[Champion]) -> list[Replay]:
     """Return replays of an arm's best champion, with how much the members disagree.
 
     It is the best zero-shot, or the best where it evolved if none survives the target.
     """
-    if arm_kind(own[0].environment).learned and not study.has_networks:
+    if arm_kind(champions[0].environment).learned and not study.has_networks:
         return []
-    scored = np.array([champion.zero_shot for champion in own])
+    scored = np.array([champion.zero_shot for champion in champions])
     survives = bool(np.isfinite(scored).any())
-    best = own[int(np.nanargmax(scored if survives else [champion.fitness for champion in own]))]
+    best = champions[int(np.nanargmax(scored if survives else [champion.fitness for champion in champions]))]
     ensemble = study.ensemble(best) if study.networks else None
     replays = [_at_target(study, best, ensemble)] if survives else []
     if best.environment != study.target:

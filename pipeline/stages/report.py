@@ -128,7 +128,7 @@ def _film(study: StudyReader) -> Files:
     shown = [replay for _, replay in heroes(best_replays(study))]
     if not shown:
         return {f"{FILM}.json": encode_json({"shown": []})}
-    listed = [f"{one.title}, in {one.seen_in}, {one.depth:g} m" for one in shown]
+    listed = [f"{replay.title}, in {replay.seen_in}, {replay.depth:g} m" for replay in shown]
     return {
         f"{FILM}.gif": render_gif(shown),
         f"{FILM}.mp4": render_mp4(shown),
@@ -148,10 +148,11 @@ def _page(spec: PageItemSpec, study: StudyReader) -> Files:
     for champion in _proposed(page, study):
         name = f"{PROPOSED}{champion.environment}-{champion.depth:g}m".replace(".", "_")  # one dot in a file name
         files[f"{name}.json"] = design_json(champion.design)
-    for one in page.replays:
-        if one.in_target and one.robot:
-            words = f"{one.seen_in}, {one.depth:g} m deep: {one.displacement:z.1f} m in {one.duration:.0f} s"
-            files[f"{one.robot}.html"] = render_robot(one, [typeset(words)]).encode()
+    for replay in page.replays:
+        if replay.in_target and replay.robot:
+            moved = f"{replay.displacement:z.1f} m in {replay.duration:.0f} s"
+            words = f"{replay.seen_in}, {replay.depth:g} m deep: {moved}"
+            files[f"{replay.robot}.html"] = render_robot(replay, [typeset(words)]).encode()
     for drawing in drawings.values():
         files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
     return files

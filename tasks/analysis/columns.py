@@ -36,12 +36,12 @@ def scored_by(objective: Objective, row: type) -> type:
     if objective.is_papers:
         return row
     types, columns = get_type_hints(row), []
-    for one in fields(row):
-        about = dict(one.metadata)
+    for attribute in fields(row):
+        about = dict(attribute.metadata)
         if isinstance(about["unit"], ScoreUnit):
             meaning = about["meaning"].replace("Displacement of the root", objective.label)
             about |= {"unit": objective.unit, "form": about["form"].replace(".1f", ".2f"), "meaning": meaning}
-        columns.append((one.name, types[one.name], field(metadata=about)))
+        columns.append((attribute.name, types[attribute.name], field(metadata=about)))
     return make_dataclass(row.__name__, columns)
 
 

@@ -75,7 +75,7 @@ def compare(
     B is the reference; a and b are the same for arms of one study. ``pairs`` are an arm of A and one of B each. A share
     of what designs of the target score, where champions are transferred to, is negligible. Identical arms come last.
     """
-    depths = sorted({one.depth for one in a} & {one.depth for one in b}, reverse=True)
+    depths = sorted({trial.depth for trial in a} & {trial.depth for trial in b}, reverse=True)
     rows = [
         _compared(x, y, of_a, of_b, depth, sample(b, (target, "zero_shot"), depth))
         for depth in depths

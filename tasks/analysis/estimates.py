@@ -105,8 +105,8 @@ class Components(NamedTuple):
 
 def within_replicates(sample: Sample) -> tuple[float, int]:
     """Return the variance of trials around the mean of their replicate, and its degrees of freedom."""
-    _, own, sizes = np.unique(sample.replicate, return_inverse=True, return_counts=True)
-    departures = sample.values - (np.bincount(own, sample.values) / np.maximum(sizes, 1))[own]
+    _, group, sizes = np.unique(sample.replicate, return_inverse=True, return_counts=True)
+    departures = sample.values - (np.bincount(group, sample.values) / np.maximum(sizes, 1))[group]
     freedom = len(sample) - len(sizes)
     return float(departures @ departures) / max(freedom, 1), freedom
 
@@ -114,7 +114,7 @@ def within_replicates(sample: Sample) -> tuple[float, int]:
 def components(sample: Sample) -> Components:
     """Split the variance of a group of two or more trials, and return the error of its mean."""
     y, n = sample.values, len(sample)
-    _, own, sizes = np.unique(sample.replicate, return_inverse=True, return_counts=True)
+    _, group, sizes = np.unique(sample.replicate, return_inverse=True, return_counts=True)
     n_replicates, pooled = len(sizes), float(y.var(ddof=1))
     independent = Components(0.0, pooled, pooled / n, n - 1)
     if n_replicates == 1:
@@ -122,7 +122,7 @@ def components(sample: Sample) -> Components:
     if n_replicates == n:  # perhaps all variance is between replicates
         return independent._replace(between=pooled, within=0.0)
     msw, freedom_within = within_replicates(sample)
-    msb = float(sizes @ (np.bincount(own, y) / sizes - y.mean()) ** 2) / (n_replicates - 1)
+    msb = float(sizes @ (np.bincount(group, y) / sizes - y.mean()) ** 2) / (n_replicates - 1)
     if msb <= msw:
         return independent
     k = float(sizes @ sizes) / n
@@ -137,9 +137,9 @@ def error_of(*samples: Sample) -> tuple[float, float]:
 
     The groups have two or more trials and are not all constant.
     """
-    found = [components(sample) for sample in samples]
-    variance = sum(one.of_mean for one in found)
-    return variance, variance**2 / sum(one.of_mean**2 / one.freedom for one in found)
+    parts = [components(sample) for sample in samples]
+    variance = sum(part.of_mean for part in parts)
+    return variance, variance**2 / sum(part.of_mean**2 / part.freedom for part in parts)
 
 
 def sum_of_means(*samples: Sample) -> Estimate:
@@ -198,7 +198,7 @@ def bootstrap(statistic: Callable[..., Float64], *samples: Float64, rng: Generat
     """
 
     def of_rows(*rows: Int64, axis: int) -> Float64:  # noqa: ARG001 (SciPy's contract; it is the last)
-        means = (sample[own].mean(axis=-2) for sample, own in zip(samples, rows, strict=True))
+        means = (sample[chosen].mean(axis=-2) for sample, chosen in zip(samples, rows, strict=True))
         return np.moveaxis(statistic(*means), -1, 0)
 
     n = min(len(sample) for sample in samples)
@@ -209,7 +209,7 @@ def bootstrap(statistic: Callable[..., Float64], *samples: Float64, rng: Generat
         if n >= _MIN_VALUES:
             # The resamples' deviation is √((n - 1) / n) of the sample's; Student's t allows for its uncertainty.
             z = math.sqrt(n / (n - 1)) * float(scipy.stats.t.ppf((1 + LEVEL) / 2, n - 1))
-            found = scipy.stats.bootstrap(
+            resampled = scipy.stats.bootstrap(
                 tuple(np.arange(len(sample)) for sample in samples),
                 of_rows,
                 n_resamples=_N_RESAMPLES,
@@ -219,7 +219,7 @@ def bootstrap(statistic: Callable[..., Float64], *samples: Float64, rng: Generat
                 method="BCa",
                 rng=rng,
             )
-            low, high = found.confidence_interval
+            low, high = resampled.confidence_interval
     return tuple(_known(*figure) for figure in zip(values, low, high, strict=True))
 
 
@@ -235,11 +235,11 @@ def of_means(statistic: Callable[[Float64], Float64], rows: Float64, replicate: 
     with np.errstate(all="ignore"):
         values = statistic(means)
         pseudo = n * values - (n - 1) * statistic((n * means - rows) / (n - 1))
-    found = []
-    for value, own in zip(values, pseudo.T, strict=True):
-        around = sum_of_means(Sample(own - own.mean(), replicate)) if np.isfinite(own).all() else MISSING
-        found.append(_known(value, *(value + end for end in around.interval or (math.nan, math.nan))))
-    return tuple(found)
+    estimates = []
+    for value, column in zip(values, pseudo.T, strict=True):
+        around = sum_of_means(Sample(column - column.mean(), replicate)) if np.isfinite(column).all() else MISSING
+        estimates.append(_known(value, *(value + end for end in around.interval or (math.nan, math.nan))))
+    return tuple(estimates)
 
 
 def _known(value: float, low: float, high: float) -> Estimate:

@@ -69,10 +69,10 @@ class PaperRow:
         return self.kind == "number" and self.what.endswith("[m]")
 
 
-def written(found: Estimate, form: str) -> str:
+def written(estimate: Estimate, form: str) -> str:
     """Write an estimate with its interval in brackets."""
-    value = "–" if found.value is None else form.format(found.value)
-    return f"{value} ({' to '.join(map(form.format, found.interval))})" if found.interval else value
+    value = "–" if estimate.value is None else form.format(estimate.value)
+    return f"{value} ({' to '.join(map(form.format, estimate.interval))})" if estimate.interval else value
 
 
 def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:
@@ -105,22 +105,22 @@ def _name(arm: ScoredArm) -> str:
 
 def _means(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     for arm, (value, source) in published.MEANS.items():
-        own, what = sample(trials, arm, DEPTH), f"{_name(arm)} at {DEPTH:g} m [m]"
-        found, bound = sum_of_means(own), published.NEGLIGIBLE * published.MEANS[BEST][0]
-        yield from _number(what, value, "{:z.1f}", source, found, bound, _widened(own) if found.interval else 1.0)
+        of_arm, what = sample(trials, arm, DEPTH), f"{_name(arm)} at {DEPTH:g} m [m]"
+        mean, bound = sum_of_means(of_arm), published.NEGLIGIBLE * published.MEANS[BEST][0]
+        yield from _number(what, value, "{:z.1f}", source, mean, bound, _widened(of_arm) if mean.interval else 1.0)
 
 
 def _ratios(trials: Sequence[ScoredTrial], rng: Generator) -> Iterator[PaperRow]:
     for arm, (value, source) in published.RATIOS.items():
         part, whole = sample(trials, arm, DEPTH), sample(trials, BEST, DEPTH)
-        found, what = ratio(part, whole, rng=rng), f"{_name(arm)} / {_name(BEST)} at {DEPTH:g} m"
-        wider = _widened(*linearised(part, whole)) if found.interval else 1.0
-        yield from _number(what, value, "{:z.0%}", source, found, published.NEGLIGIBLE_RATIO, wider)
+        share, what = ratio(part, whole, rng=rng), f"{_name(arm)} / {_name(BEST)} at {DEPTH:g} m"
+        wider = _widened(*linearised(part, whole)) if share.interval else 1.0
+        yield from _number(what, value, "{:z.0%}", source, share, published.NEGLIGIBLE_RATIO, wider)
 
 
 def _widened(*samples: Sample) -> float:
     """Return the factor by which the paper's own trials, if they vary like these, widen the interval of their sum."""
-    of_paper = sum(found.between + found.within / N_TRIALS for found in map(components, samples))
+    of_paper = sum(variance.between + variance.within / N_TRIALS for variance in map(components, samples))
     return math.sqrt(1 + of_paper / error_of(*samples)[0])
 
 
@@ -131,11 +131,11 @@ def _variation(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     if min(n_x, n_y) < 1 or y <= RESOLUTION**2:
         return
     ends = (math.sqrt(x / y / scipy.stats.f.ppf(tail, n_x, n_y)) for tail in ((1 + LEVEL) / 2, (1 - LEVEL) / 2))
-    found = Estimate(math.sqrt(x / y), *ends)
+    spread = Estimate(math.sqrt(x / y), *ends)
     what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
     source = '"very high variation in fitness across independent trials", Evolution'
-    this_run, verdict = written(found, "{:z.2f}"), judge(found, 1.0, math.inf)
-    yield PaperRow("number", what, "above 1", this_run, "the interval, above 1", verdict, found, None, source)
+    this_run, verdict = written(spread, "{:z.2f}"), judge(spread, 1.0, math.inf)
+    yield PaperRow("number", what, "above 1", this_run, "the interval, above 1", verdict, spread, None, source)
 
 
 def _figures(study: StudyData) -> Iterator[PaperRow]:
@@ -148,32 +148,33 @@ def _figures(study: StudyData) -> Iterator[PaperRow]:
     wider = math.sqrt(1 + n_trials * n_replicates / N_ASSESSED)  # R replicates' mean has at least 1/R of the variance
     rows = {row.name: row for row in regressions_of(study, data_set)}
     for (predictor, figure), (value, source) in published.AGGREGATES.items():
-        what, found = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m", getattr(rows[predictor], figure)
-        yield from _number(what, value, "{:z.2f}", source, found, published.NEGLIGIBLE_FIGURE[figure], wider)
+        what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
+        estimate = getattr(rows[predictor], figure)
+        yield from _number(what, value, "{:z.2f}", source, estimate, published.NEGLIGIBLE_FIGURE[figure], wider)
 
 
 def _number(
-    what: str, value: float, form: str, source: str, found: Estimate, bound: float, wider: float
+    what: str, value: float, form: str, source: str, ours: Estimate, bound: float, wider: float
 ) -> Iterator[PaperRow]:
     """Judge the difference between this run's number and the paper's, whose interval is wider by a factor."""
-    if found.value is None:
+    if ours.value is None:
         return
-    off = found.value - value
-    gap = Estimate(off, *(off + wider * (end - found.value) for end in found.interval or ()))
+    off = ours.value - value
+    gap = Estimate(off, *(off + wider * (end - ours.value) for end in ours.interval or ()))
     decides = f"Δ {written(gap, form)}, within ± {form.format(bound)}"
     verdict = judge(gap, -bound, bound)
-    yield PaperRow("number", what, form.format(value), written(found, form), decides, verdict, found, None, source)
+    yield PaperRow("number", what, form.format(value), written(ours, form), decides, verdict, ours, None, source)
 
 
 def _statements(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:
     """Judge the paper's statements about t tests, as one family."""
-    found = [
+    tests = [
         (statement, row)
         for statement in published.STATEMENTS
         for row in reversed(compare(trials, trials, [(statement.a, statement.b)], BEST[0]))
         if row.depth in statement.depths and row.p is not None
     ]
-    for (statement, row), p in zip(found, holm([row.p for _, row in found]), strict=True):
+    for (statement, row), p in zip(tests, holm([row.p for _, row in tests]), strict=True):
         assert p is not None
         verdict, claim, limit = row.verdict, statement.claim, f"> {published.INSIGNIFICANT:g}"
         if claim != "no difference":

@@ -91,7 +91,7 @@ def accuracy(assessed: Assessed, data_set: str, rng: np.random.Generator) -> lis
     predictors = predictors_of(assessed.predicted)
     x, y = np.stack(list(predictors.values())), assessed.true
     used = np.isfinite(y) & np.isfinite(x).all(axis=0)
-    found: Sequence[Estimate] = [MISSING] * 3 * len(x)
+    estimates: Sequence[Estimate] = [MISSING] * 3 * len(x)
     has_r = False
     if used.sum() >= _MIN_DESIGNS:
         has_r = bool(np.ptp(y[used]) > RESOLUTION)
@@ -99,8 +99,8 @@ def accuracy(assessed: Assessed, data_set: str, rng: np.random.Generator) -> lis
         rows, figures = _moments(x[:, used], y[used])
         sums = np.zeros((len(first), rows.shape[1]))
         np.add.at(sums, trial, rows)
-        found = _estimated(figures, sums, assessed.replicate[used][first], rng)
-    of_each = {name: found[3 * i : 3 * i + 3] for i, name in enumerate(predictors)}
+        estimates = _estimated(figures, sums, assessed.replicate[used][first], rng)
+    of_each = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(predictors)}
     return [Regression(data_set, name, r if has_r else MISSING, *line) for name, (r, *line) in of_each.items()]
 
 
@@ -117,7 +117,7 @@ def _moments(x: Float64, y: Float64) -> tuple[Float64, Callable[[Float64], Float
     def figures(means: Float64) -> Float64:
         """Fit least squares to (..., n_predictors * 6) means: (..., n_predictors * 3) Pearson's R, slope, intercept."""
         share, *sums = np.moveaxis(means.reshape(*means.shape[:-1], len(x), 6), -1, 0)
-        u1, w1, uu, ww, uw = (one / share for one in sums)
+        u1, w1, uu, ww, uw = (total / share for total in sums)
         var_u, var_w = (np.where(v > 1e-20, v, np.nan) for v in (uu - u1 * u1, ww - w1 * w1))
         slope = (uw - u1 * w1) / var_u * sy / sx
         r = np.clip((uw - u1 * w1) / np.sqrt(var_u * var_w), -1, 1)
@@ -133,11 +133,11 @@ def _estimated(
         return bootstrap(figures, rows, rng=rng)
 
     def on_fishers_scale(means: Float64) -> Float64:
-        found = figures(means)
-        found[..., ::3] = np.arctanh(np.clip(found[..., ::3], -_HIGHEST_R, _HIGHEST_R))
-        return found
+        scaled = figures(means)
+        scaled[..., ::3] = np.arctanh(np.clip(scaled[..., ::3], -_HIGHEST_R, _HIGHEST_R))
+        return scaled
 
     return [
-        Estimate(*(end if end is None else math.tanh(end) for end in astuple(one))) if i % 3 == 0 else one
-        for i, one in enumerate(of_means(on_fishers_scale, rows, replicate))
+        Estimate(*(end if end is None else math.tanh(end) for end in astuple(estimate))) if i % 3 == 0 else estimate
+        for i, estimate in enumerate(of_means(on_fishers_scale, rows, replicate))
     ]

@@ -52,17 +52,17 @@ def tank(study: StudyData) -> list[TankRow]:
     for i, champion in enumerate(champions):
         rng = study.rng("tank", *champion.key)
         tries = restarted(champion.design, tank.n_trials, rng)
-        found = []
+        outcomes = []
         for at, under in tests:
             rollouts = study.simulate(at, tries, trace=True, physics=under, n_measure=tank.n_steps(under.time_step))
-            found.append(crossings(tries, rollouts, tank, n_settle=study.settings.n_settle))
+            outcomes.append(crossings(tries, rollouts, tank, n_settle=study.settings.n_settle))
         rows.append(
             TankRow(
                 *champion.key,
                 i == chosen,
                 champion.zero_shot,
-                100 * float(tank.scale * found[0].length[0]),
-                *(count_crossings(trials, tank) for trials in found),
+                100 * float(tank.scale * outcomes[0].length[0]),
+                *(count_crossings(trials, tank) for trials in outcomes),
             )
         )
     return rows
