@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, environments
+from pipeline.stages.cost import cost_in_numpy, number_of_members
 from pipeline.stages.data_sets import AssessmentId
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
@@ -161,21 +162,21 @@ def _expected_bytes(stage: AnyStage, settings: Settings, chain: Chain[Any], unit
 def _rollout(settings: Settings, environment: EnvironmentName) -> float:
     """Return the time of one rollout of one robot [s]."""
     n_steps = settings.rollout.n_settle + settings.rollout.n_measure
-    n_members = environments.number_of_members(settings, environment)
+    n_members = number_of_members(settings, environment)
     engine: str = settings.work.engine
     if engine == "batch" and (settings.physics.link_collisions or settings.physics.passive_joints == "locked"):
         engine = "rigid"
     learner = settings.learner(environment)
     if learner is None:
-        in_numpy = environments.cost_in_numpy(settings, environment) * _SECONDS_PER_STEP["batch"]
+        in_numpy = cost_in_numpy(settings, environment) * _SECONDS_PER_STEP["batch"]
         return n_steps * n_members * (_SECONDS_PER_STEP[engine] + in_numpy)
     physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
-    flops = environments.network_flops(learner.network)
+    flops = learner.network.flops
     return n_steps * n_members * (physics + N_LINKS * flops / _FLOPS_OF_INFERENCE)
 
 
 def _flops_of_iteration(network: Architecture, training: Training) -> float:
-    return _PASSES_OF_TRAINING * training.batch_size * environments.network_flops(network)
+    return _PASSES_OF_TRAINING * training.batch_size * network.flops
 
 
 def _generation(settings: Settings, environment: EnvironmentName) -> float:

@@ -18,21 +18,15 @@ from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Up
 from tasks.design import Designs, random_designs
 from tasks.evolution import OBJECTIVES, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
-from tasks.residual import Architecture
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.learner import NetworkUse
 from tasks.seeding import generator
 from tasks.simulation import Conditions, Rollouts, simulate
-from tasks.simulation.batch import n_that_fill_lanes
-from tasks.simulation.fluids import is_compiled
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, MeanResidual, Physics, ResidualSlush
 from tasks.world.medium import MediumError, Networks
 
 MEMBER_SCHEMA, MEMBER_VERSION = "member", 1
 MEMBER, OF_TARGET = "member", "target-member"  # roles of the inputs that are networks, and those of a learned target
-_FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
-_CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land
-
 
 Media = Mapping[EnvironmentName, Parameters | NetworkUse | None]
 """What environments consist of: the settings of a medium, how networks are used, or nothing for dry land."""
@@ -127,48 +121,6 @@ def execution_options(settings: Settings, environment: EnvironmentName) -> Execu
     """
     slow = environment in settings.learners or settings.work.engine == "reference"
     return Execution(settings.work.engine, settings.work.designs_per_batch if slow else None)
-
-
-def batch_size(settings: Settings, environment: EnvironmentName) -> int:
-    """Return how many trials of an environment fill the engine's lanes together, where one leaves some empty."""
-    if settings.work.engine != "batch":
-        return 1
-    if environment in settings.learners:  # an ensemble fills the lanes; single members differ between trials
-        return 1
-    size = getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here
-    return n_that_fill_lanes(size, settings.physics)
-
-
-def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
-    """Estimate the cost of a generation, relative to one on dry land."""
-    n_members, learner = number_of_members(settings, environment), settings.learner(environment)
-    medium = network_flops(learner.network) / _FLOPS_OF_PHYSICS if learner else cost_in_numpy(settings, environment)
-    return n_members * (1 + medium)
-
-
-def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
-    """Estimate what a robot's step costs in a medium without a kernel, beside a step on dry land and relative to it."""
-    if settings.work.engine != "batch" or environment not in ENVIRONMENTS:
-        return 0.0  # where the slush is in NumPy, too; or the medium's code is not here
-    home = environment_of(media_of(settings, environment), environment, 0.0)
-    if home.medium is None or is_compiled(home.medium):
-        return 0.0
-    n_batched = min(batch_size(settings, environment), settings.grid.n_trials)
-    return _CALL_OF_MEDIUM / (settings.evolution.optimiser.population_size * n_batched) + _ROBOT_IN_MEDIUM
-
-
-def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
-    """Return how many members simulate each design in an environment, 1 without an ensemble."""
-    if learner := settings.learner(environment):
-        return 1 if learner.is_single else learner.n_members
-    if environment not in ENVIRONMENTS:  # of code that is not here
-        return 1
-    return environment_of(media_of(settings, environment), environment, 0.0).n_members
-
-
-def network_flops(network: Architecture) -> int:
-    """Return the floating-point operations of one network for one link."""
-    return 2 * network.n_weights
 
 
 def roll_out(

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
+from pipeline.stages.cost import batch_size, relative_cost
 from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.environments import FitnessSpec, SimulationSpec, networks_among
 from pipeline.stages.files import CURVE, HISTORY, POPULATION
@@ -92,9 +93,9 @@ def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -
         spec.identity,
         units,
         spec,
-        weight=environments.relative_cost(settings, spec.environment) * n_rollouts,
+        weight=relative_cost(settings, spec.environment) * n_rollouts,
         batch_key=Arm(spec.environment, depth),
-        batch_size=environments.batch_size(settings, spec.environment),
+        batch_size=batch_size(settings, spec.environment),
     )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pipeline.config.settings import Settings
 from pipeline.report.render import as_text
 from pipeline.stages import divergence, environments
+from pipeline.stages.cost import relative_cost
 from pipeline.stages.data_sets import networks_of
 from pipeline.stages.environments import FitnessSpec, SimulationSpec
 from pipeline.stages.files import ADAPTED, CHAMPION, POPULATION, SCORE
@@ -47,7 +48,7 @@ def _plan(settings: Settings) -> Sequence[Chain[ScoreSpec]]:
         simulation = environments.simulation_spec(settings, trial.environment, settings.target)
         fitness = environments.fitness_spec(settings, trial.environment)
         places = trial.environment, settings.target
-        cost = sum(environments.relative_cost(settings, environment) for environment in places)
+        cost = sum(relative_cost(settings, environment) for environment in places)
         chains.append(Chain(trial, (1,), ScoreSpec(trial, settings.target, simulation, fitness), weight=cost))
     return chains
 

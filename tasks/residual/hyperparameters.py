@@ -55,6 +55,11 @@ class Architecture(Parameters):
         ends = len(form.inputs) + len(form.unseen), len(form.learned) + form.n_factors
         return sum(n_in * n_out for n_in, n_out in pairwise([ends[0], *self._hidden_of(form), ends[1]]))
 
+    @property
+    def flops(self) -> int:
+        """Floating-point operations of one prediction."""
+        return 2 * self.n_weights
+
 
 class Training(Parameters):
     """Training of one network on the residuals."""
