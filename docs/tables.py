@@ -70,31 +70,49 @@ def shares_by(label: str) -> Any:
 # -- how far champions go --------------------------------------------------------------------------------------------
 
 
-@table(text("evolved in"), metres("predicted"), metres("zero-shot"), share("of *E*"), share("adapted, of *E*"))
-def shares(study: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate how far champions go at 9 m."""
+@table(
+    text("evolved in"),
+    metres("predicted"),
+    metres("zero-shot"),
+    share("of *E*"),
+    share("of *E*, 1/240 s"),
+    share("adapted, of *E*"),
+)
+def shares(study: Results, robust: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate how far champions go at 9 m, of *E* with usual and with shorter steps."""
+    study = _with_conditions(study, robust)
     for arm in study["arms"]:
         name, zero_shot = arm["environment"], arm["zero_shot"]["mean"]
         if name == "true_slush" and arm["depth"] == paper.DEPTH:
-            yield _label(name), None, zero_shot, None, _of_best(study, name, "adapted")
+            yield _label(name), None, zero_shot, None, None, _of_best(study, name, "adapted")
         elif name != "designed_single_member" and arm["depth"] == paper.DEPTH:
-            of = (_of_best(study, name, score) for score in ("zero_shot", "adapted"))
+            of = (_of_best(study, name, score) for score in ("zero_shot", "quarter_steps", "adapted"))
             yield _label(name), arm["predicted"]["mean"], zero_shot, *of
 
 
-@table(text("robots evolved"), text("trials"), share("zero-shot"), share("paper"), share("adapted"), share("paper"))
-def front(large: Results, small: Results) -> Iterable[tuple[Any, ...]]:
+@table(
+    text("robots evolved"),
+    text("trials"),
+    share("zero-shot"),
+    share("1/240 s"),
+    share("paper"),
+    share("adapted"),
+    share("paper"),
+)
+def front(large: Results, small: Results, redrawn: Results, robust: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate shares of the same *E*, that of the second study, at 9 m, beside the paper's numbers."""
+    large, small, random = (_with_conditions(study, robust) for study in (large, small, redrawn["studies"][0]))
     for evolved, study, name in (
         ("on dry land", small, "dry_land"),
         ("under large networks, from the paper’s throws", large, "residual_slush"),
         ("under small networks, from designed throws", small, "designed_throws"),
-        ("in slushes drawn at random around the true one", small, "randomised_slush"),
+        ("in slushes drawn at random around the true one", random, "randomised_slush"),
     ):
         row: list[Any] = []
         for score in ("zero_shot", "adapted"):
             papers, whole = papers_mean(name, score, paper.DEPTH), papers_mean(*paper.BEST, paper.DEPTH)
-            row += [_of_best(study, name, score, best_of=small), papers and whole and papers / whole]
+            finer = [_of_best(study, name, "quarter_steps", best_of=small)] if score == "zero_shot" else []
+            row += [_of_best(study, name, score, best_of=small), *finer, papers and whole and papers / whole]
         yield evolved, len(_sample(study, name, "zero_shot").values), *row
 
 
@@ -112,6 +130,25 @@ def depths(study: Results) -> Iterable[tuple[Any, ...]]:
     for depth in sorted({depth for _, depth in arms}):
         names = ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
         yield depth, arms["true_slush", depth], *(_of_best(study, name, "zero_shot", depth) for name in names)
+
+
+@table(
+    text("depth [m]", "{:g}"),
+    metres("*E*"),
+    metres("16 starts"),
+    metres("1/120 s"),
+    metres("1/240 s"),
+    metres("continuous"),
+    share("*Ẽ* of *E*, 1/240 s"),
+    share("*Ê\\** of *E*, 1/240 s"),
+)
+def robustness(robust: Results, study: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate what *E* travels in other conditions at all depths, and the shares of two arms with shorter steps."""
+    study, columns = _with_conditions(study, robust), ("one", "starts", "half_steps", "quarter_steps", "continuous")
+    for depth in sorted({row["depth"] for row in study["champions"]}):
+        best = (fmean(_sample(study, "true_slush", column, depth).values) for column in columns)
+        names = ("randomised_slush", "designed_throws")
+        yield depth, *best, *(_of_best(study, name, "quarter_steps", depth) for name in names)
 
 
 @table(
@@ -259,9 +296,10 @@ def _exploiters(studies: Iterable[Results], environment: str) -> str:
 
 
 def _sample(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
-    """Return the champions of an arm at a depth, or all; those that learned from the same data set belong together.
+    """Return the champions of an arm at a depth, or all; those of the same data set or draw belong together.
 
-    A gain is what is travelled beyond the same bodies with motors off, where that was measured.
+    A gain is what is travelled beyond the same bodies with motors off, where that was measured. There are none if a
+    score of one of them was not.
     """
     rows = [
         row | {"gain": row["zero_shot"] - row.get("passive", 0.0)}
@@ -269,8 +307,13 @@ def _sample(study: Results, environment: str, score: str, depth: float | None = 
         if row["environment"] == environment and depth in (row["depth"], None)
     ]
     learned = environment != study.get("fluid") and arm_kind(environment).learned
-    n_data_sets = study["n_replicates"] if learned else 1
-    return sample_of(np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows]))
+    redrawn = environment == "randomised_slush" and study.get("series") == "parameters"
+    n_data_sets = study["n_replicates"] if learned or redrawn else 1
+    if any(score not in row for row in rows):
+        rows = []
+    return sample_of(
+        np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows], int)
+    )
 
 
 def _compared(study: Results, arm: str) -> list[dict[str, Any]]:
@@ -300,10 +343,19 @@ def _ratio(part: Sample, whole: Sample) -> Estimate:
 def _of_best(
     study: Results, environment: str, score: str, depth: float = paper.DEPTH, *, best_of: Results | None = None
 ) -> Estimate:
-    """Estimate an arm's share of *E* zero-shot, that of its own study by default."""
-    return _ratio(
-        _sample(study, environment, score, depth), _sample(best_of or study, "true_slush", "zero_shot", depth)
-    )
+    """Estimate an arm's share of what *E*, that of its own study by default, travels zero-shot in the same steps."""
+    of_best = "zero_shot" if score == "adapted" else score
+    return _ratio(_sample(study, environment, score, depth), _sample(best_of or study, "true_slush", of_best, depth))
+
+
+def _with_conditions(study: Results, robust: Results) -> Results:
+    """Add what each champion travels in other conditions, where it was measured; its displacement tells who it is."""
+    measured = {(row["environment"], row["depth"], round(row["one"], 2)): row for row in robust["champions"]}
+    champions = [
+        {**measured.get((row["environment"], row["depth"], round(row["zero_shot"], 2)), {}), **row}
+        for row in study["champions"]
+    ]
+    return {**study, "champions": champions}
 
 
 def _by_data_set(sample: Sample, best: float) -> tuple[float, ...]:
