@@ -9,7 +9,7 @@ from tasks.analysis import paper
 from tasks.analysis.columns import SCORE, OfArm, ScoreUnit, column, percent
 from tasks.analysis.estimates import Estimate, Mean, mean_of, ratio
 from tasks.analysis.registry import analysis
-from tasks.analysis.scores import Quantity, ScoredTrial, arms, sample
+from tasks.analysis.scores import Quantity, ScoredTrial, arms, by_arm, sample
 from tasks.analysis.study import StudyData
 from tasks.residual.learner import LEARNERS
 from tasks.seeding import generator
@@ -44,10 +44,9 @@ TOO_WIDE = ("n", "adapted", "sigma", "fitness", "paper_zero_shot", "paper_adapte
 
 def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, papers: bool = False) -> list[TransferRow]:
     """Average the trials of each arm, the greatest depth first; the paper's means are beside them if asked for."""
-    rows = []
+    rows, grouped = [], by_arm(trials)
     for arm in arms(trials, target):
-        own = [one for one in trials if (one.environment, one.depth) == arm]
-        mean = {name: mean_of(np.array([getattr(one, name) for one in own])) for name in _AVERAGED}
+        mean = {name: mean_of(np.array([getattr(trial, name) for trial in grouped[arm]])) for name in _AVERAGED}
         is_ensemble = mean["predicted_sd"].value is not None
         rows.append(
             TransferRow(
@@ -59,7 +58,7 @@ def transfer_rows(trials: Sequence[ScoredTrial], target: EnvironmentName, *, pap
                 mean["predicted"],
                 mean["predicted_sd"].value,
                 mean["fitness"].value if is_ensemble else None,
-                len(own),
+                len(grouped[arm]),
                 papers_mean(arm[0], "zero_shot", arm[1]) if papers else None,
                 papers_mean(arm[0], "adapted", arm[1]) if papers else None,
             )
