@@ -15,7 +15,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages.environments import roll_out, simulation_spec
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.stage import Execution
-from tasks.analysis.tables.robustness import CONDITIONS
+from tasks.analysis.tables.transfer_robustness import CONDITIONS
 from tasks.design import motors_off
 from tasks.simulation import Conditions
 from tasks.world import TrueSlush

@@ -138,17 +138,16 @@ def roll_out(
     Raises PuddleError if the medium, perhaps a user's own, gives no velocity change.
     """
     conditions = conditions or Conditions()
-    physics = conditions.of_physics(simulation.physics)
     try:
         return simulate(
             conditions.of_designs(designs),
             conditions.of_environment(environment),
             n_settle=simulation.rollout.n_settle * conditions.n_substeps,
             n_measure=simulation.rollout.n_measure * conditions.n_substeps,
-            engine="reference" if physics.continuous_collision else execution.engine,
+            engine=execution.engine,
             trace=trace,
             motor_work=motor_work,
-            physics=physics,
+            physics=conditions.of_physics(simulation.physics),
         )
     except MediumError as error:
         raise PuddleError(str(error)) from error

@@ -42,7 +42,7 @@ class Physics(Parameters):
     was built."""
     continuous_collision: bool = False
     """Whether Box2D stops fast links where they touch the ground within a step, its default, in place of pushing them
-    out after it. The ground is thick, so nothing tunnels. Only the reference engine (work.engine) can."""
+    out after it. The ground is thick, so nothing tunnels. The reference engine does it, about fifty times as slowly."""
 
 
 def froude_time(length: float) -> float:

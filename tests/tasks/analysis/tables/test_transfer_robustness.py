@@ -8,7 +8,7 @@ import pytest
 
 from tasks.analysis.estimates import Estimate
 from tasks.analysis.scores import Champion, ScoredTrial
-from tasks.analysis.tables.robustness import CONDITIONS, N_STARTS, robustness
+from tasks.analysis.tables.transfer_robustness import CONDITIONS, N_STARTS, robustness
 from tasks.design import motors_off, random_designs
 from tasks.simulation import simulate
 from tasks.world import Physics, TrueSlush
