@@ -1,6 +1,7 @@
 """A synthetic camera before a tank: `python tests/shared/synthetic_tank.py --out DIR` films throws into the true slush.
 
 `--noise 0.3` writes tracks in place of videos, with so much noise [mm]; docs/tank-sample.csv has 50 throws of that.
+`--memory` throws them into a fluid with memory, which networks that see one instant cannot learn.
 
 The throws are those of the simulator at bench scale. Every pixel takes the colour of the tag, the bar or the water
 that its ray meets, averaged over the exposure; then come noise, eight bits and H.264. Lens distortion and perspective
@@ -29,7 +30,7 @@ from tasks.bench.vision.plane import Lens, SeenPlane
 from tasks.residual.throws import Starts, even_starts
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import Physics, Slush, froude_time
+from tasks.world import LinkStates, Medium, Physics, Slush, VelocityChange, froude_time
 
 SCALE = 0.07  # bench metres per simulated metre
 TIME = froude_time(SCALE)  # bench seconds per simulated second
@@ -194,16 +195,32 @@ def sticker(number: int, size: float) -> TaggedBar:
     return TaggedBar.model_validate(sheet | {"tags": [{"number": number, "size": size}]})
 
 
-def states_of(starts: Starts, seconds: float) -> tuple[Float32, Float64]:
-    """Simulate throws into the true slush for a time at bench scale [s].
+class SlushWithMemory:
+    """Slush whose drag comes to one half from a Maxwell element, which follows in half a second of simulation."""
+
+    def __init__(self) -> None:
+        self._late: Float64 | float = 0.0  # drag of the element, of each link
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        drag, whole = (
+            np.stack((change.vx, change.vy, change.omega))
+            for gravity in (0.0, physics.gravity)
+            for change in [Slush().velocity_change(links, physics.model_copy(update={"gravity": gravity}))]
+        )
+        self._late = np.where(drag.any(axis=0), self._late + physics.time_step / 0.5 * (drag - self._late), 0.0)
+        return VelocityChange(*(whole + (self._late - drag) / 2))
+
+
+def states_of(starts: Starts, seconds: float, medium: Medium | None = None) -> tuple[Float32, Float64]:
+    """Simulate throws into a medium, the true slush by default, for a time at bench scale [s].
 
     Returns (n_throws, n_steps + 1, 6) simulated states, and (n_steps + 1,) times at bench scale [s].
     """
     physics = Physics(time_step=Physics().time_step / _FINE)
     n_steps = int(np.ceil(seconds / (physics.time_step * TIME)))
-    links, states = FreeLinks(starts.length_scale, physics), [starts.state]
+    links, states, medium = FreeLinks(starts.length_scale, physics), [starts.state], medium or Slush()
     for _ in range(n_steps):
-        states.append(links.step(states[-1], Slush()))
+        states.append(links.step(states[-1], medium))
     return np.stack(states, axis=1), physics.time_step * TIME * np.arange(n_steps + 1)
 
 
@@ -270,9 +287,17 @@ def write_csv(path: Path, names: Sequence[str], columns: Float64, formats: str) 
     np.savetxt(path, columns, formats, header=",".join(names), comments="")
 
 
-def write_tracks(out: Path, starts: Starts, *, seconds: float, noise_mm: float, rng: np.random.Generator) -> None:
+def write_tracks(
+    out: Path,
+    starts: Starts,
+    *,
+    seconds: float,
+    noise_mm: float,
+    rng: np.random.Generator,
+    medium: Medium | None = None,
+) -> None:
     """Write tracks.csv and tracks-bars.csv: poses at frames with Gaussian noise, of angles as many degrees as mm."""
-    states, time = states_of(starts, seconds)
+    states, time = states_of(starts, seconds, medium)
     frames = np.arange(round(seconds * TankCamera.rate)) / TankCamera.rate
     deviation = np.array((noise_mm / 1000, noise_mm / 1000, np.radians(noise_mm)))
     tracks = []
@@ -306,13 +331,15 @@ def main() -> None:
     options.add_argument("--throws", type=int, default=4)
     options.add_argument("--noise", type=float, help="write tracks with so much noise [mm] in place of videos")
     options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--memory", action="store_true", help="of a fluid with memory, in tracks")
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     markers, seconds = markers_of_tank(LARGE_TANK), 0.5
     rng = generator(given.seed, "synthetic tank", TankCamera.rate)
     starts, bars = throws_for_bars(given.throws, markers, rng)
     if given.noise is not None:
-        write_tracks(given.out, starts, seconds=seconds, noise_mm=given.noise, rng=rng)
+        medium = SlushWithMemory() if given.memory else None
+        write_tracks(given.out, starts, seconds=seconds, noise_mm=given.noise, rng=rng, medium=medium)
     else:
         scene = TankScene(TankCamera(), markers, rng=rng)
         truth = film_throws(given.out / "throws.mp4", scene, starts, bars, seconds)
