@@ -9,7 +9,7 @@ from pipeline.bench.fabrication.make_kit import fabricate as make
 from pipeline.bench.fabrication.source import from_file
 from pipeline.bench.fabrication.throwing_kit import make_throwing_kit
 from pipeline.commands.options import DEFAULT_STORE, SettingsOptions, StorePath, StudyName, with_options
-from pipeline.commands.proposal import proposed
+from pipeline.commands.proposal import check_errors, proposed
 from pipeline.commands.terminal import INCOMPLETE, to_stderr, to_stdout
 from pipeline.config.loading import load, parse
 from pipeline.errors import PuddleError
@@ -31,6 +31,9 @@ def fabricate(
     ] = None,
     throwing_kit: Annotated[
         bool, typer.Option("--throwing-kit", help="Make bars to throw, their tags and a protocol instead of a robot.")
+    ] = False,
+    despite_errors: Annotated[
+        bool, typer.Option("--despite-errors", help="Build also where networks predict tracked throws badly.")
     ] = False,
     store: StorePath = DEFAULT_STORE,
 ) -> None:
@@ -59,7 +62,10 @@ def fabricate(
     if design is not None:
         source = from_file(design, SettingsOptions(preset=preset or "pontoon", store=store).settings())
     else:
-        source = proposed(open_study(str(study), store, say=to_stderr))
+        opened = open_study(str(study), store, say=to_stderr)
+        if not despite_errors:
+            check_errors(opened)
+        source = proposed(opened)
     lines, n_faults = make(source, of_kit, out)
     to_stdout(*lines)
     if n_faults:

@@ -31,6 +31,7 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.bench.tracks import Tracks, residual_transitions
+from tasks.bench.tracks.residuals import N_FOLDS
 from tasks.residual import STATE, Throws, Transitions, form_named, initial_states, robot_ranges, simulate_throws
 from tasks.seeding import generator, replicate_seed
 from tasks.world import EnvironmentName, Physics
@@ -43,10 +44,11 @@ _UNITS = {
     "step": "",
     "length_scale": "m",
     "state": _STATE_UNITS,
-    "next_in_slush": _STATE_UNITS,
+    "next_in_target": _STATE_UNITS,
     "next_on_dry_land": _STATE_UNITS,
-    "residual": f"{', '.join(STATE)}, in slush minus on dry land [m, m, rad, m/s, m/s, rad/s]",
+    "residual": f"{', '.join(STATE)}, in the target minus on dry land [m, m, rad, m/s, m/s, rad/s]",
     "residual_sd": f"deviations of {_STATE_UNITS}",
+    "held_out": "",
 }
 
 
@@ -65,11 +67,12 @@ class ChunkSpec:
 
 @dataclass(frozen=True)
 class TracksSpec:
-    """All tracked throws: the noise is estimated from all together. The files' digests are among the item's inputs."""
+    """All tracked throws, and a medium fitted to all but a fold. The files' digests are among the item's inputs."""
 
     tracks: Tracks  # without the files' names
     physics: Physics
-    method: int = 4  # raised when other transitions are made of the same tracks
+    fold: int
+    method: int = 5  # raised when other transitions are made of the same tracks
 
 
 def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
@@ -80,8 +83,9 @@ def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
     for data_set in data_sets(settings):
         throws = ensembles[data_set.learner].throws
         if throws.source == "tracks" and settings.tracks is not None:
-            of_tracks = TracksSpec(unnamed(settings.tracks), settings.physics)
-            chains.append(Chain(ChunkId(data_set, 0), (throws.n_throws,), of_tracks))
+            for fold in range(min(N_FOLDS, throws.n_throws)):
+                of_tracks = TracksSpec(unnamed(settings.tracks), settings.physics, fold)
+                chains.append(Chain(ChunkId(data_set, fold), (throws.n_throws,), of_tracks))
             continue
         seed = replicate_seed(settings.seed, data_set.replicate)
         for first in range(0, throws.n_throws, size):
@@ -104,7 +108,7 @@ def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
     spec = item.spec
     if isinstance(spec, TracksSpec):
         read = read_tracks(inputs)
-        tracked, report = residual_transitions(read.table, read.bars, spec.tracks, spec.physics)
+        tracked, report = residual_transitions(read.table, read.bars, spec.tracks, spec.physics, fold=spec.fold)
         return {TRANSITIONS.name: _encoded(tracked), TRACK_REPORT: encode_report(report)}
     starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
     starts = starts[spec.first : spec.first + spec.n]
@@ -123,13 +127,15 @@ def _encoded(transitions: Transitions) -> bytes:
     return TRANSITIONS.encode(columns, units)
 
 
-def throws_inputs(collected: Results, data_set: DataSetId) -> Sources:
-    """Return the chunks of a whole data set as inputs.
+def throws_inputs(collected: Results, data_set: DataSetId, fold: int | None = None) -> Sources:
+    """Return the chunks of a whole data set as inputs, or of tracked throws that of a fold, counted round and round.
 
     Raises:
         MissingInputs: a chunk is not there.
     """
     chunks = chunks_of(data_set, collected)
+    if fold is not None:
+        chunks = [chunk for chunk in chunks if chunk.first == fold % len(chunks)]
     return {InputName(THROWN, chunk): Input(collected.chain(chunk)[0], (TRANSITIONS.name,)) for chunk in chunks}
 
 
@@ -153,10 +159,10 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
         if warning := form_named(settings.ensembles[data_set.learner].network.form).warning(transitions):
             lines.append(f"{name}{warning}")
         if TRACK_REPORT in chunks[0]:
-            found = decode_json(chunks[0][TRACK_REPORT], TRACK_REPORT)
+            folds = [decode_json(chunk[TRACK_REPORT], TRACK_REPORT) for chunk in chunks]
             n_further = int((transitions.throw < 0).sum())
-            lines += report_lines(found, settings, len(transitions) - n_further, n_further)
-            metrics |= {"n_throws": float(found["n_throws"]), "n_transitions": float(len(transitions))}
+            lines += report_lines(folds, settings, len(transitions) - n_further, n_further)
+            metrics |= {"n_throws": float(folds[0]["n_throws"]), "n_transitions": float(len(transitions))}
             continue
         speed = np.hypot(transitions.state[:, 3], transitions.state[:, 4])
         wet = np.abs(transitions.residual).max(axis=1) > 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from tasks.bench.tracks.bars import TrackedBarError
 from tasks.bench.tracks.free_fall import Fall, falls_oddly
 from tasks.bench.tracks.residuals import TrackReport, check_throws
 from tasks.bench.tracks.table import Paths
+from tasks.bench.tracks.unseen import Unseen, findings
 from tasks.residual.learner import TANK_MODEL
 
 TRACK_REPORT = "tracks.json"  # what the tracks are like
@@ -162,32 +163,37 @@ def _without_nan(value: Any) -> Any:
     return None if value != value else value
 
 
-def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: int, n_further: int) -> list[str]:
+def report_lines(
+    folds: Sequence[Mapping[str, Any]], settings: Settings, n_transitions: int, n_further: int
+) -> list[str]:
     """Say what tracks are like, in the units of the bench, and warn of effects that no network learns.
 
     Args:
-        report: of the tracks, decoded.
+        folds: reports of the tracks, decoded: of each fit to all but a fold of them.
         settings: the study's settings.
-        n_transitions: number of transitions made of them.
-        n_further: number of transitions of throws in the medium that was fitted to them.
+        n_transitions: number of transitions made of them, in all fits.
+        n_further: number of transitions of throws in the fitted media.
 
     Returns:
         Lines for the terminal.
     """
-    tracks = settings.tracks
+    tracks, report = settings.tracks, folds[0]
     assert tracks is not None
     mm = 1000 * tracks.metres_per_metre
     noise_x, noise_y, noise_angle = report["noise"]
     of_noise = "stated" if report["sd_given"] else "estimated"
-    sd_vx, sd_vy, sd_omega = report["residual_sd"]
     rate = 1 / (report["frame_interval"] * tracks.time_scale)
     lines = [
         f"{report['n_throws']:,} tracked throws, {report['n_frames']:,} frames at {rate:.0f} a second, "
-        f"{n_transitions:,} transitions, and {n_further:,} of throws in the medium that was fitted to them",
+        f"{n_transitions // len(folds):,} transitions, and {n_further // len(folds):,} of throws in each of "
+        f"{len(folds)} media, each fitted to all throws but its share",
         f"    noise, {of_noise}: x {noise_x * mm:.2g} mm, y {noise_y * mm:.2g} mm, angle "
-        f"{math.degrees(noise_angle):.2g}°; a step's residual is known within (median) {sd_vx:.2g}, {sd_vy:.2g} m/s "
-        f"and {sd_omega:.2g} rad/s of simulation",
+        f"{math.degrees(noise_angle):.2g}°",
     ]
+    if unseen := [Unseen(**_with_nan(fold["unseen"])) for fold in folds if fold["unseen"]]:
+        error = np.mean([of_fold.error for of_fold in unseen])
+        lines.append(f"    throws held out of a fit, followed from start to end: off by {error:.0%} of the way")
+        lines += [f"warning: throws held out of a fit: {finding}" for finding in findings(unseen)]
     if n_repeated := report.get("n_repeated", 0):
         lines.append(f"warning: {n_repeated:,} more frames were dropped: they repeat the one before (phone, editor)")
     if report.get("angle_period", math.inf) < 4:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,9 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import Chain, Execution, Files, Inputs, Item, Stage, StoredFiles, Summary, Upstream
-from tasks.residual import Architecture, ErrorRow, Training
+from tasks.residual import Architecture, ErrorRow, MeasuredTransitions, Training
+from tasks.residual.ensemble import Ensemble
+from tasks.residual.error_report import WHOLE_THROWS, whole_throws
 from tasks.residual.forms import form_here
 from tasks.seeding import replicate_seed
 from tasks.world import Physics
@@ -27,6 +29,7 @@ from tasks.world import Physics
 if TYPE_CHECKING:
     from tasks.residual.training import TrainedMember  # imports torch
 
+WHOLE_ERROR = "relative_error.whole_throws"  # the metric, of tracked throws alone
 _ERROR_UNITS = {
     "component": "of the residual",
     "band": "of |v| [m/s]",
@@ -46,7 +49,7 @@ class MemberSpec:
     seed: int
     network: Architecture
     training: Training  # it names the device: on a GPU the last bits differ, so the networks differ too
-    physics: Physics  # in which the constants of a law are fitted
+    physics: Physics  # in which the constants of a law are fitted, and tracked throws rolled out
 
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
@@ -70,7 +73,9 @@ def _item(
 ) -> Item[MemberSpec]:
     execution = Execution(n_gpus=1 if chain.spec.training.device == "cuda" else 0)
     assert isinstance(chain.identity, NetworkId)
-    throws = throws_inputs(upstream["collect"], chain.identity.data_set)
+    data_set, number = chain.identity.data_set, chain.identity.index
+    is_tracked = settings.ensembles[data_set.learner].throws.source == "tracks"
+    throws = throws_inputs(upstream["collect"], data_set, number if is_tracked else None)
     return Item(TRAIN.name, TRAIN.version, chain.label, chain.spec, throws, execution)
 
 
@@ -78,9 +83,13 @@ def _compute(item: Item[MemberSpec], inputs: Inputs) -> Files:
     from tasks.residual.training import train_member
 
     spec, transitions = item.spec, read_transitions(throws_among(inputs))
-    return member_files(
-        train_member(transitions, spec.network, spec.training, seed=spec.seed, member=spec.member, physics=spec.physics)
-    )
+    choices = spec.network, spec.training
+    trained = train_member(transitions, *choices, seed=spec.seed, member=spec.member, physics=spec.physics)
+    if isinstance(transitions, MeasuredTransitions):
+        medium = Ensemble.from_members([trained.arrays()])
+        of_throws = whole_throws(medium, transitions[transitions.held_out], spec.physics)
+        trained = replace(trained, validation=(*trained.validation, of_throws))
+    return member_files(trained)
 
 
 def member_files(trained: "TrainedMember") -> Files:
@@ -115,6 +124,8 @@ def _summarise_member(network: ChainId, items: Sequence[Files]) -> Summary:
             name = f"{component}.{'low_speed' if band != 'all' else 'all'}"
             metrics[f"relative_error.{name}"] = float(errors["relative_error"][row])
             metrics[f"bias.{name}"] = float(errors["bias"][row])
+    for row in np.flatnonzero(errors["band"] == WHOLE_THROWS):
+        metrics[WHOLE_ERROR] = float(errors["relative_error"][row])
     (files,) = items
     weights = decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=network.label)
     form = form_here(bytes(weights["form"]).decode())
@@ -124,7 +135,9 @@ def _summarise_member(network: ChainId, items: Sequence[Files]) -> Summary:
 
 def _error(metrics: Mapping[str, float]) -> str:
     error = f"{metrics['relative_error.vx.all']:.3f}"
-    if not math.isnan(slow := metrics["relative_error.vx.low_speed"]):  # else no row is that slow
+    if WHOLE_ERROR in metrics:
+        error += f", {metrics[WHOLE_ERROR]:.2f}"
+    elif not math.isnan(slow := metrics["relative_error.vx.low_speed"]):  # else no row is that slow
         error += f", slow {slow:.2f} (bias {metrics['bias.vx.low_speed']:+.4f} m/s)"
     fitted = {name: value for name, value in metrics.items() if name.startswith("constant.")}
     return "; ".join([error, *(f"{name.partition('.')[2]} {value:g}" for name, value in fitted.items())])
@@ -137,6 +150,11 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
     if not members:
         return Summary(["no trial needs residual networks"])
     errors = [f"{chain.label}: {_error(metrics)}" for chain, metrics in members.items()]
+    if of_tracked := [metrics[WHOLE_ERROR] for metrics in members.values() if WHOLE_ERROR in metrics]:
+        heading = (
+            "relative errors on throws held out of fit and training: of vx in a step, of poses where rollouts end:"
+        )
+        return Summary([heading, *errors], {WHOLE_ERROR: float(np.mean(of_tracked))})
     return Summary(["relative errors of vx, at all speeds and slow, below 0.5 m/s:", *errors])
 
 

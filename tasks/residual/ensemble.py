@@ -69,7 +69,7 @@ class Ensemble:
         return replace(self, weights=weights, biases=biases)
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
-        """Predict the velocity changes of one step; member k predicts entry k of the first axis.
+        """Predict the velocity changes of one step; member k of several predicts entry k of the first axis.
 
         The length of the step is implied by the throws. A state that is not finite gives a change that is not finite.
 
@@ -77,7 +77,7 @@ class Ensemble:
             ValueError: the links' first axis is not n_members long.
         """
         shape = links.y.shape
-        if not shape or shape[0] != self.n_members:
+        if self.n_members > 1 and shape[:1] != (self.n_members,):
             raise ValueError(f"links of shape {shape}, expected ({self.n_members} members, ...)")
         inputs = observe(self.form, links).reshape(self.n_members, -1, self.weights[0].shape[1])
         change = velocity_changes(self.form, self.predict(inputs), inputs)

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.arrays import Floats
-from tasks.residual.throws import STATE
+from tasks.residual.throws import STATE, Transitions
+from tasks.simulation.free_links import FreeLinks
+from tasks.world import Medium, Physics
 
 BANDS = (
     ("all", 0.0, math.inf),
@@ -20,6 +22,7 @@ BANDS = (
     ("> 10", 10.0, math.inf),
 )
 """Name and range low <= |v| < high of each speed band [m/s]."""
+WHOLE_THROWS = "whole throws"  # in place of a band
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,8 @@ class ErrorRow:
     exist (no rows, or a true residual without variance) are NaN.
     """
 
-    component: str  # one of STATE
-    band: str  # one of BANDS
+    component: str  # one of STATE, or "pose" of whole throws
+    band: str  # one of BANDS, or WHOLE_THROWS
     n_rows: int  # transitions in the band
     rmse: float
     bias: float  # mean error
@@ -55,6 +58,24 @@ def error_rows(predicted: Floats, true: Floats, speed: Floats) -> tuple[ErrorRow
         for band, inside in within.items()
         for i, component in enumerate(STATE[-true.shape[1] :])
     )
+
+
+def whole_throws(medium: Medium, throws: Transitions, physics: Physics) -> ErrorRow:
+    """Roll throws out from their first states, and return the errors of their poses where they end.
+
+    Errors of x, y and angle are shares of the way: a bar that stays put scores 1. A throw begins anew where steps are
+    left out.
+    """
+    begins = np.flatnonzero((np.diff(throws.throw, prepend=-1) != 0) | (np.diff(throws.step, prepend=-1) != 1))
+    n_steps = np.diff(begins, append=len(throws))
+    links, now = FreeLinks(throws.length_scale[begins], physics), throws.state[begins]
+    start, end, seen = now[:, :3], now[:, :3].copy(), throws.next_in_target[begins + n_steps - 1, :3]
+    for step in range(1, n_steps.max(initial=0) + 1):
+        now = links.step(now, medium)
+        end[n_steps == step] = now[n_steps == step, :3]
+    error, way = (end - seen).astype(np.float64), (seen - start).astype(np.float64)
+    unit = np.sqrt(np.mean(way**2, axis=0))
+    return _error_row("pose", WHOLE_THROWS, error / unit, way / unit)
 
 
 def _error_row(component: str, band: str, error: Floats, true: Floats) -> ErrorRow:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any, cast
 
@@ -65,6 +65,10 @@ class SeenPaths:
     seen: Bools  # (n_throws, n_frames) False in padding
     begins: Bools  # (n_throws, n_frames) frames that do not follow from those before: the first, after gaps, at walls
     length_scale: Float64  # (n_throws,) long axes [m]
+
+    def __getitem__(self, throws: Bools) -> SeenPaths:
+        """Select throws by a mask."""
+        return SeenPaths(*(getattr(self, field.name)[throws] for field in fields(self)))
 
 
 class MediumModel(nn.Module):
@@ -251,6 +255,28 @@ def _parts(paths: SeenPaths) -> list[tuple[int, int, int]]:
             time = paths.time[throw, begin : begin + n]
             parts.append((throw, begin, int(np.count_nonzero(time - time[0] <= longest))))
     return parts
+
+
+@torch.no_grad()
+def persistence(model: MediumModel, paths: SeenPaths, physics: Physics) -> float:
+    """Return the correlation of successive errors, each of a frame that is predicted from the seven frames before.
+
+    Measurements alone leave about 0 (the whiteness of innovations; Mehra 1970). NaN if all throws are shorter.
+    """
+    n, dt, sections = _WINDOW + 1, physics.time_step, _sections(paths)
+    parts = [(throw, first + k, n) for throw, first, number in sections if number > n + 1 for k in range(number - n)]
+    if not parts:
+        return math.nan
+    with deterministic(torch.device("cpu")):
+        windows = _Windows(paths, parts, dt)
+        windows.estimate_starts(model, physics.gravity, n_sweeps=8)
+        at = windows.throw, windows.first + n
+        steps = torch.from_numpy((paths.time[at] - paths.time[windows.throw, windows.first])[:, None] / dt)
+        poses, _ = _rollout(model, windows.length_scale, windows.start, _n_steps(steps), dt, physics.gravity)
+    off = (_at(poses, steps)[:, 0].numpy() - paths.pose[at]) / np.maximum(paths.sd[at], _LEAST_SD)
+    follows = (np.diff(windows.throw) == 0) & (np.diff(windows.first) == 1)
+    last, then = off[:-1][follows], off[1:][follows]
+    return float(np.sum(last * then) / np.sqrt(np.sum(last**2) * np.sum(then**2)))
 
 
 @torch.no_grad()

@@ -97,7 +97,7 @@ class Transitions(ArrayData):
     step: Int64  # (n_transitions,) steps since the start
     length_scale: Float64  # (n_transitions,) long axis [m]
     state: Float32  # (n_transitions, 6) state before both steps, in the order of STATE
-    next_in_slush: Float32  # (n_transitions, 6) state after a step of E
+    next_in_target: Float32  # (n_transitions, 6) state after a step of E, of the medium thrown into
     next_on_dry_land: Float32  # (n_transitions, 6) state after a step of E'
     residual: Float32  # (n_transitions, 6) residual e = E(x) - E'(x), in the order of STATE
 
@@ -144,6 +144,7 @@ class MeasuredTransitions(Transitions):
     """Transitions of real throws, whose residuals are uncertain."""
 
     residual_sd: Float32  # (n_transitions, 6) deviation of the residual
+    held_out: Bools  # (n_transitions,) of throws that the medium of the further throws was not fitted to
 
 
 def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | None = None) -> Starts:

@@ -1,7 +1,8 @@
 """Training of one ensemble member. Paper, "Neural Network Training".
 
 The transitions, settings, seed and member's number determine the result. On a CPU a second run gives the same bytes, on
-another processor as well; on a CUDA device, on the same machine. All members of a study hold out the same throws.
+another processor as well; on a CUDA device, on the same machine. All members of a study hold out the same simulated
+throws, and of tracked throws those that the medium of their data was not fitted to.
 """
 
 from dataclasses import asdict, dataclass
@@ -141,7 +142,14 @@ def train_member(
     if training.device == "cuda" and not n_cuda_devices():
         built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
         raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
-    to_learn, to_validate = map(np.flatnonzero, split_throws(transitions.throw, training.held_out, seed=seed))
+    if isinstance(transitions, MeasuredTransitions):
+        split = ~transitions.held_out, transitions.held_out
+    else:
+        split = split_throws(transitions.throw, training.held_out, seed=seed)
+    to_learn, to_validate = map(np.flatnonzero, split)
+    times = _times_drawn(transitions.throw, to_learn, generator(seed, "resample", member))
+    if isinstance(transitions, MeasuredTransitions):  # members differ by what few throws leave open
+        to_learn = np.repeat(to_learn, times[to_learn].astype(int))
     form, physics = form_named(architecture.form), physics or Physics()
     links, residual = transitions.links(physics), transitions.residual[:, -form.n_errors :]
     read, weights = observe(form, links), np.ones_like(residual)
@@ -154,7 +162,6 @@ def train_member(
 
     law, left_over = dict[str, Floats](), residual
     if form.constants:
-        times = _times_drawn(transitions.throw, to_learn, generator(seed, "resample", member))
         law["constants"], law["factors"] = form.fit(links, residual, weights * times[:, None], physics)
         left_over = residual - changes_by(np.zeros((len(read), len(form.outputs)), np.float32), read)
     inputs = read[:, : len(form.inputs)]

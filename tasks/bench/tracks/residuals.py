@@ -13,12 +13,14 @@ from tasks.bench.tracks.free_fall import Fall, check_falls
 from tasks.bench.tracks.smoother import Measured, Smoothed, smooth
 from tasks.bench.tracks.table import Paths, TrackError, TrackTable, paths_of
 from tasks.bench.tracks.tank_contacts import contacts, n_contacts
+from tasks.bench.tracks.unseen import Unseen, errors_on
 from tasks.residual import MeasuredTransitions, robot_ranges, simulate_throws
 from tasks.residual.throws import Starts, even_starts, precision_weights
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
 
+N_FOLDS = 4  # fits of a medium, each to all throws but its share
 _N_FURTHER = 256  # throws in the fitted medium
 _NEAR = 3  # intervals before and after a contact, whose steps are left out
 _LONGEST_GAP = 4.0  # typical intervals between a throw's frames; steps in a longer gap are left out
@@ -35,12 +37,12 @@ class TrackReport:
     n_rows_in_gaps: int  # transitions left out
     noise: tuple[float, float, float]  # deviations of measurements of x, y [m] and the angle [rad]
     sd_given: bool  # whether the file states them; they are estimated otherwise
-    residual_sd: tuple[float, float, float]  # median uncertainty of the velocity change of a step [m/s, m/s, rad/s]
     n_contacts: int  # with the walls and the floor
     n_rows_at_contacts: int  # transitions left out
     fall: Fall
     n_repeated: int  # frames that were dropped, because they repeat the one before
     angle_period: float  # up to which angles are known [rad]
+    unseen: Unseen | None = None  # errors of the fitted medium on the throws held out of the fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +74,14 @@ def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics
 
 
 def residual_transitions(
-    table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics, *, n_iterations: int = 200
+    table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics, *, fold: int = 0, n_iterations: int = 200
 ) -> tuple[MeasuredTransitions, TrackReport]:
     """Smooth tracked throws, and compare each step of the simulator's clock with the base simulator's.
 
-    A model of the medium is fitted to the poses in n_iterations, and what its rollouts leave is smoothed. E(x) is then
-    the velocity one step later, E'(x) the base simulator's step from the same state; positions follow by integration,
-    as in the simulation. Throws in the fitted medium, whose numbers are negative, are added.
+    A model of the medium is fitted in n_iterations to the poses of all throws but those of a fold, and what its
+    rollouts leave is smoothed. E(x) is then the velocity one step later, E'(x) the base simulator's step from the same
+    state; positions follow by integration, as in the simulation. Throws in the fitted medium, whose numbers are
+    negative, are added.
 
     Returns:
         MeasuredTransitions with their uncertainty, ordered by throw and step, and what the tracks are like.
@@ -87,10 +90,14 @@ def residual_transitions(
         TrackError: something is wrong with a throw or a bar, or with how bars fall.
     """
     first = smooth_throws(table, bars, tracks, physics)
-    medium, smoothed, in_range = _rolled_out(first, physics, n_iterations)
-    tracked = _transitions(first.paths, first.long_axes, smoothed, physics, first.usable & in_range)
-    report = replace(first.report, noise=_noise(smoothed), residual_sd=_typical_sd(tracked))
-    return MeasuredTransitions.concatenate([tracked, _thrown_further(medium, tracked, physics)]), report
+    usable = np.flatnonzero(first.usable.any(axis=1))
+    chosen = generator(0, "folds").permutation(usable)[fold % len(usable) :: N_FOLDS]
+    held_out = np.isin(np.arange(len(first.usable)), chosen)
+    medium, smoothed, in_range, persists = _rolled_out(first, held_out, physics, n_iterations)
+    tracked = _transitions(first.paths, first.long_axes, smoothed, physics, first.usable & in_range, held_out)
+    unseen = tracked[tracked.held_out]
+    report = replace(first.report, noise=_noise(smoothed), unseen=errors_on(unseen, medium, physics, persists))
+    return MeasuredTransitions.concatenate([tracked, _thrown_further(medium, unseen, physics, fold)]), report
 
 
 def smooth_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> SmoothedThrows:
@@ -118,9 +125,9 @@ def smooth_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physic
     near = [(throw, max(frame - _NEAR, 0), min(frame + _NEAR, last)) for throw, frame in np.argwhere(at)]
     at_contact = _inside(paths, near, time)
     usable = real & ~in_gap & ~at_contact
-    if not usable.any():
+    if usable.any(axis=1).sum() < 2:  # one to fit, one held out
         raise TrackError("every step is in a gap between frames or at a wall or the floor: film throws in open water")
-    transitions = _transitions(paths, long_axes, smoothed, physics, usable)
+    transitions = _transitions(paths, long_axes, smoothed, physics, usable, np.zeros(len(usable), dtype=bool))
     report = TrackReport(
         n_throws=len(paths.throw),
         n_frames=int(paths.seen.sum()),
@@ -129,7 +136,6 @@ def smooth_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physic
         n_rows_in_gaps=int((real & in_gap).sum()),
         noise=_noise(smoothed),
         sd_given=paths.sd is not None,
-        residual_sd=_typical_sd(transitions),
         n_contacts=n_contacts(at),
         n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
         fall=check_falls(transitions, paths.throw[np.nonzero(usable)[0]], physics.gravity, dt),
@@ -148,13 +154,16 @@ def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
     return [smooth(Measured(paths.time, pose[..., axis], paths.seen, sds[axis]), time) for axis in range(3)]
 
 
-def _rolled_out(first: SmoothedThrows, physics: Physics, n_iterations: int) -> tuple[Medium, list[Smoothed], Bools]:
+def _rolled_out(
+    first: SmoothedThrows, held_out: Bools, physics: Physics, n_iterations: int
+) -> tuple[Medium, list[Smoothed], Bools, float]:
     """Fit a model of the medium, roll the throws out, and smooth by how much the poses seen differ from them.
 
-    Returns the model, the states, and which of the (n_throws, n_steps) steps begin no faster than smoothed poses ever
-    do: how fast a bar was before its first frame, drag soon hides.
+    Returns the model, which has not seen the throws that are held out, the states, which of the (n_throws, n_steps)
+    steps begin no faster than smoothed poses ever do, because drag soon hides how fast a bar was before its first
+    frame, and how far the errors of successive frames of the throws held out are alike.
     """
-    from tasks.residual.rollouts import SeenPaths, fit_medium, follow  # imports torch
+    from tasks.residual.rollouts import SeenPaths, fit_medium, follow, persistence  # imports torch
 
     paths = first.paths
     at_frames = _smoothed(paths, paths.pose, paths.time)
@@ -167,7 +176,7 @@ def _rolled_out(first: SmoothedThrows, physics: Physics, n_iterations: int) -> t
         begins=first.begins,
         length_scale=first.long_axes,
     )
-    model = fit_medium(seen, physics, n_iterations=n_iterations)
+    model = fit_medium(seen[~held_out], physics, n_iterations=n_iterations)
     pose, velocity = follow(model, seen, np.concatenate([paths.time, first.time], axis=1), physics)
     n_frames = paths.time.shape[1]
     smoothed = _smoothed(paths, paths.pose - pose[:, :n_frames], first.time)
@@ -176,30 +185,27 @@ def _rolled_out(first: SmoothedThrows, physics: Physics, n_iterations: int) -> t
         coordinate.mean[..., 1] += velocity[:, n_frames:, axis]
     fastest = np.abs(first.transitions.state[:, 3:]).max(axis=0)
     velocity = np.stack([coordinate.mean[:, :-1, 1] for coordinate in smoothed], axis=-1)
-    return model, smoothed, (np.abs(velocity) <= fastest).all(axis=-1)
+    in_range = (np.abs(velocity) <= fastest).all(axis=-1)
+    return model, smoothed, in_range, persistence(model, seen[held_out], physics)
 
 
-def _thrown_further(medium: Medium, tracked: MeasuredTransitions, physics: Physics) -> MeasuredTransitions:
+def _thrown_further(medium: Medium, unseen: MeasuredTransitions, physics: Physics, fold: int) -> MeasuredTransitions:
     """Simulate throws in the fitted medium, evenly over the states of robots, where few bars were thrown.
 
-    Their residuals are as uncertain as the medium is wrong about those of the tracked throws.
+    Their residuals are as uncertain as the medium is wrong about those of throws that it has not seen.
     """
-    starts = even_starts(_N_FURTHER, physics, generator(0, "throws in the fitted medium"))
+    starts = even_starts(_N_FURTHER, physics, generator(0, "throws in the fitted medium", fold))
     starts = Starts(-1 - starts.throw, starts.length_scale, starts.state)
     further = simulate_throws(starts, robot_ranges(physics).n_steps, medium, physics)
-    wrong_by = FreeLinks(tracked.length_scale, physics).step(tracked.state, medium) - tracked.next_in_slush
-    weights = precision_weights(tracked.residual, tracked.residual_sd)
+    wrong_by = FreeLinks(unseen.length_scale, physics).step(unseen.state, medium) - unseen.next_in_target
+    weights = precision_weights(unseen.residual, unseen.residual_sd)
     sd = np.sqrt(np.average(np.square(wrong_by), axis=0, weights=weights)).astype(np.float32)
-    return MeasuredTransitions(**further.columns(), residual_sd=np.tile(sd, (len(further), 1)))
+    never = np.zeros(len(further), dtype=bool)
+    return MeasuredTransitions(**further.columns(), residual_sd=np.tile(sd, (len(further), 1)), held_out=never)
 
 
 def _noise(smoothed: list[Smoothed]) -> tuple[float, float, float]:
     return smoothed[0].noise, smoothed[1].noise, smoothed[2].noise
-
-
-def _typical_sd(transitions: MeasuredTransitions) -> tuple[float, float, float]:
-    vx, vy, omega = np.median(transitions.residual_sd[:, 3:], axis=0).tolist()
-    return vx, vy, omega
 
 
 def _gaps(paths: Paths) -> Bools:
@@ -217,7 +223,7 @@ def _inside(paths: Paths, spans: list[tuple[int, int, int]], time: Float64) -> B
 
 
 def _transitions(
-    paths: Paths, long_axes: Float64, smoothed: list[Smoothed], physics: Physics, chosen: Bools
+    paths: Paths, long_axes: Float64, smoothed: list[Smoothed], physics: Physics, chosen: Bools, held_out: Bools
 ) -> MeasuredTransitions:
     """Return the chosen (n_throws, n_steps) steps, each with the state before it."""
     # (n_throws, n_times, 3 coordinates, 3 derivatives)
@@ -236,10 +242,11 @@ def _transitions(
         step=step,
         length_scale=long_axes[throw],
         state=state,
-        next_in_slush=reached,
+        next_in_target=reached,
         next_on_dry_land=dry,
         residual=reached - dry,
         residual_sd=np.concatenate([dt * sd, sd], axis=1),
+        held_out=held_out[throw],
     )
 
 

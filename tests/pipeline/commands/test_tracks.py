@@ -50,12 +50,15 @@ def keys(settings) -> dict[str, str]:
     return {of: COLLECT.item(settings, chain, 0, None, {}).key for of, chain in labelled(chains).items()}
 
 
-def test_robots_evolve_from_tracks(collected, tmp_path) -> None:
+def test_robots_evolve_from_tracks(collected, tmp_path, capsys) -> None:
     folder, _ = collected
     shutil.copytree(folder / "store", tmp_path / "store")
     for command in ("train", "evolve", "adapt", "transfer"):
         where = ("tank", "--store", str(tmp_path / "store"), "--workers", "0")
         assert call(command, *where, *WITHOUT_MLFLOW) == 0
+    assert "relative errors on throws held out of fit and training" in capsys.readouterr().err
+    said = refused(capsys, "fabricate", "--study", "tank", "--store", str(tmp_path / "store"))
+    assert "of the way on throws that were held out, expected at most 0.2" in said and "--despite-errors" in said
     study = open_study("tank", tmp_path / "store")
     assert study.settings.throws.source == "tracks" and study.settings.throws.n_throws == 4
     found = study.reader.throws
@@ -158,7 +161,7 @@ def test_what_was_dropped_and_repaired_is_said(collected) -> None:
     spun = (table.angle + 9 * table.time)[shown] % np.pi
     given = replace(table, x=table.x[shown], y=table.y[shown], angle=spun)
     report = smooth_throws(given, bars, Tracks(file="tracks.csv"), settings.physics).report
-    lines = report_lines(asdict(report), settings, 1, 0)
+    lines = report_lines([asdict(report)], settings, 1, 0)
     assert f"{len(shown) // 2} frames at 60 a second" in lines[0]
     assert any(line.startswith(f"warning: {len(shown) // 2} more frames were dropped") for line in lines)
     assert any("angles are known up to half a turn" in line for line in lines)

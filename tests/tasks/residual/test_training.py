@@ -33,7 +33,7 @@ def synthetic(n_throws, n_steps, residual_of, seed=0):
         step=np.tile(np.arange(n_steps), n_throws),
         length_scale=rng.uniform(1, 3, n),
         state=rng.normal(size=(n, 6)).astype(np.float32),
-        next_in_slush=none,
+        next_in_target=none,
         next_on_dry_land=none,
         residual=none,
     )
@@ -96,9 +96,22 @@ def test_a_network_learns_around_rows_that_are_known_to_be_wrong():
     architecture = Architecture(hidden_layers=1, width=16, dropout=0.0)
     of_all, of_known = (
         train_member(data, architecture, training, seed=1, member=0)
-        for data in (Transitions(**columns), MeasuredTransitions(**columns, residual_sd=sd))
+        for data in (Transitions(**columns), MeasuredTransitions(**columns, residual_sd=sd, held_out=plain.throw < 2))
     )
     assert of_known.learning_curve[-1, 2] < 0.05 * of_all.learning_curve[-1, 2]
+
+
+def test_members_learn_from_other_tracked_throws_and_are_tested_on_those_that_are_held_out():
+    plain = synthetic(12, 30, lambda state, rng: 0.1 * state)
+    columns = plain.columns() | {"throw": plain.throw - 4, "residual_sd": np.zeros_like(plain.residual)}
+    tracked = MeasuredTransitions(**columns, held_out=plain.throw < 7)
+    first, again, second = (train_member(tracked, SMALL, SHORT, seed=1, member=member) for member in (0, 0, 1))
+    assert {row.n_rows for row in first.validation if row.band == "all"} == {7 * 30}
+    means = [member.standardisation.residual_mean for member in (first, again, second)]
+    assert (means[0] == means[1]).all() and (means[0] != means[2]).all()
+    spoiled = replace(tracked, residual=np.where(tracked.held_out[:, None], 9, tracked.residual).astype(np.float32))
+    of_spoiled = train_member(spoiled, SMALL, SHORT, seed=1, member=0)
+    assert (of_spoiled.standardisation.residual_mean == means[0]).all()
 
 
 def test_standardisation_knows_the_training_set_alone(thrown):

@@ -22,6 +22,11 @@ def refused(is_wrong: bool, message: str):
     return pytest.raises(TrackError, match=message) if is_wrong else nullcontext()
 
 
+def measured(columns: dict[str, np.ndarray]) -> MeasuredTransitions:
+    sd, never = np.full_like(columns["residual"], 1e-3), np.zeros(len(columns["throw"]), dtype=bool)
+    return MeasuredTransitions(**columns, residual_sd=sd, held_out=never)
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.2, 2.0])
 def test_bars_that_fall_too_fast_or_too_slowly_are_refused(factor: float) -> None:
     """Throws through air, of a tank whose scale is off by a factor; by a fifth is a warning."""
@@ -29,7 +34,7 @@ def test_bars_that_fall_too_fast_or_too_slowly_are_refused(factor: float) -> Non
     state = throws.state.copy()
     state[:, 1] += 30
     exact = simulate_throws(replace(throws, state=state), 30, Slush(), PHYSICS)
-    plain = MeasuredTransitions(**exact.columns(), residual_sd=np.full_like(exact.residual, 1e-3))
+    plain = measured(exact.columns())
     gravity = PHYSICS.gravity * factor  # of the simulator; bars fall as ever
     residual = plain.residual.copy()
     residual[:, 4] += (gravity - PHYSICS.gravity) * PHYSICS.time_step
@@ -47,7 +52,7 @@ def test_a_waterline_that_is_wrong_by_a_bars_length_is_refused(rise: float) -> N
     state = exact.state.copy()
     state[:, 1] -= rise
     columns = {**exact.columns(), "state": state}
-    moved = MeasuredTransitions(**columns, residual_sd=np.full_like(exact.residual, 1e-3))
+    moved = measured(columns)
     with refused(abs(rise) >= 1, r"check that y is 0 at the waterline"):
         check_falls(moved, moved.throw, PHYSICS.gravity, PHYSICS.time_step)
 

@@ -42,7 +42,7 @@ def test_slow_bars_show_the_mediums_residual() -> None:
 
 def test_rollouts_find_spins_that_die_out_between_frames() -> None:
     """Fast bars lose most of their spin in the 3.8 steps between two frames, which a smoother takes for less drag."""
-    thrown = filmed(8)
+    thrown = filmed(12)
     of_poses, _ = smoothed(*thrown)
     transitions, _ = residual_transitions(*thrown, PLAIN, PHYSICS, n_iterations=100)
     tracked = transitions[transitions.throw >= 0]
@@ -52,16 +52,16 @@ def test_rollouts_find_spins_that_die_out_between_frames() -> None:
 
 
 def test_throws_in_the_fitted_medium_cover_what_was_not_thrown_with_their_uncertainty() -> None:
-    thrown = filmed(8, noise_mm=0.3, noise_deg=0.3)
+    thrown = filmed(12, noise_mm=0.3, noise_deg=0.3)
     transitions, _ = residual_transitions(*thrown, PLAIN, PHYSICS, n_iterations=60)
     tracked, further = transitions[transitions.throw >= 0], transitions[transitions.throw < 0]
     links = FreeLinks(further.length_scale, PHYSICS)
-    error = further.next_in_slush - links.step(further.state, Slush())
+    error = further.next_in_target - links.step(further.state, Slush())
     share = np.sqrt(np.mean(error[:, 3:] ** 2, axis=0) / np.mean(further.residual[:, 3:] ** 2, axis=0))
     assert (share < 0.3).all()
     assert len(np.unique(further.throw)) > 200 and np.ptp(further.state[:, 1]) > np.ptp(tracked.state[:, 1])
     dry = further.state[:, 1] > 2.0  # higher than half a bar
-    assert dry.any() and (further.next_in_slush[dry] == further.next_on_dry_land[dry]).all()
+    assert dry.any() and (further.next_in_target[dry] == further.next_on_dry_land[dry]).all()
     stated = further.residual_sd[:, 3:]
     assert (stated == stated[0]).all() and (stated[0] < 0.2 * further.residual[:, 3:].std(axis=0)).all()
 
@@ -70,10 +70,10 @@ def test_rows_are_those_of_the_base_simulator() -> None:
     transitions, _ = smoothed(*filmed(4, seconds=0.5))
     dry = FreeLinks(transitions.length_scale, PHYSICS).step(transitions.state, None)
     np.testing.assert_array_equal(transitions.next_on_dry_land, dry)
-    np.testing.assert_array_equal(transitions.residual, transitions.next_in_slush - transitions.next_on_dry_land)
+    np.testing.assert_array_equal(transitions.residual, transitions.next_in_target - transitions.next_on_dry_land)
     step = np.float32(PHYSICS.time_step)
-    moved = transitions.next_in_slush[:, :3] - transitions.state[:, :3]
-    np.testing.assert_allclose(moved, step * transitions.next_in_slush[:, 3:], atol=1e-5)
+    moved = transitions.next_in_target[:, :3] - transitions.state[:, :3]
+    np.testing.assert_allclose(moved, step * transitions.next_in_target[:, 3:], atol=1e-5)
 
 
 def test_noise_is_reported_and_widens_the_uncertainty() -> None:

@@ -122,6 +122,7 @@ def test_uncertain_residuals_weigh_less_in_this_form_as_well():
     data = throws(20, seed=2)
     wrong = np.where(np.arange(len(data)) % 3 == 0, np.float32(5), np.float32(0))[:, None]
     columns = data.columns() | {"residual": data.residual + wrong, "residual_sd": np.tile(2 * wrong, 6)}
+    columns["held_out"] = data.throw < 4
     member = train_member(
         MeasuredTransitions(**columns), Architecture(**SIZE, form="wetted"), TRAINING, seed=1, member=0
     )
