@@ -12,9 +12,8 @@ _CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, aga
 
 def batch_size(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many trials of an environment fill the engine's lanes together, where one leaves some empty."""
-    if settings.work.engine != "batch":
-        return 1
-    if environment in settings.learners:  # an ensemble fills the lanes; single members differ between trials
+    # An ensemble fills the lanes, and single members differ between trials.
+    if settings.work.engine != "batch" or environment in settings.learners:
         return 1
     size = getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here
     return n_that_fill_lanes(size, settings.physics)

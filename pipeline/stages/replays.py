@@ -27,7 +27,7 @@ def replays_of(study: StudyReader) -> list[Replay]:
         filmed = {replay.robot for replay in best if replay.in_target}
         known = [champion for champion in champions if np.isfinite(champion.zero_shot)]
         known.sort(key=lambda champion: -champion.zero_shot)
-        others = [_at_target(study, champion) for champion in known if _address(champion) not in filmed]
+        others = [_at_target(study, champion) for champion in known if robot_address(*champion.key) not in filmed]
         replays += [*best, *(replay for replay in others if replay)]
     return replays
 
@@ -83,10 +83,6 @@ def _best_of(study: StudyReader, champions: list[Champion]) -> list[Replay]:
     return [replace(replay, best=True, arm_mean=mean) for replay in replays if replay]
 
 
-def _address(champion: Champion) -> str:
-    return robot_address(*champion.key)
-
-
 def _at_target(study: StudyReader, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
     return _replay(study, champion, study.target, study.at_target(champion.depth), ensemble)
 
@@ -117,7 +113,7 @@ def _replay(
         replay,
         environment=champion.environment,
         color=looks[champion.environment].color,
-        robot=_address(champion),
+        robot=robot_address(*champion.key),
         group=f"{label}, {champion.depth:g} m",
         in_target=seen_in == study.target,
         score=champion.zero_shot,
