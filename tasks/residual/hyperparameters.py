@@ -91,7 +91,7 @@ class Training(Parameters):
     """Divide residuals by their deviation in the loss; in SI units only the largest components would count."""
     held_out: float = Field(default=0.1, ge=0.0, lt=1.0)
     """Share of the throws held out for validation; whole throws, because the steps of one resemble each other. 0 trains
-    on every throw [P] and measures errors on the same throws."""
+    on every throw [P] and measures errors on the same throws. Of tracked throws it is always a quarter."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device for training: one core or one GPU for each member. Results differ in the last bits, so the device is a
     setting and not detected: a settings file must describe the same study on every machine."""
