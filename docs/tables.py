@@ -113,7 +113,7 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
             papers, whole = papers_mean(name, score, paper.DEPTH), papers_mean(*paper.BEST, paper.DEPTH)
             finer = [_of_best(study, name, "quarter_steps", best_of=small)] if score == "zero_shot" else []
             row += [_of_best(study, name, score, best_of=small), *finer, papers and whole and papers / whole]
-        yield evolved, len(_sample(study, name, "zero_shot").values), *row
+        yield evolved, len(champions_of(study, name, "zero_shot").values), *row
 
 
 @table(
@@ -146,7 +146,7 @@ def robustness(robust: Results, study: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what *E* travels in other conditions at all depths, and the shares of two arms with shorter steps."""
     study, columns = _with_conditions(study, robust), ("one", "starts", "half_steps", "quarter_steps", "continuous")
     for depth in sorted({row["depth"] for row in study["champions"]}):
-        best = (fmean(_sample(study, "true_slush", column, depth).values) for column in columns)
+        best = (fmean(champions_of(study, "true_slush", column, depth).values) for column in columns)
         names = ("randomised_slush", "designed_throws")
         yield depth, *best, *(_of_best(study, name, "quarter_steps", depth) for name in names)
 
@@ -185,10 +185,10 @@ def variants(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate studies that differ in one setting; shares are of the same *E*, that of a study with more trials."""
     for study in results["studies"]:
         depth = study["arms"][0]["depth"]
-        best = fmean(_sample(whole, "true_slush", "zero_shot", depth).values)
+        best = fmean(champions_of(whole, "true_slush", "zero_shot", depth).values)
         for arm in (arm for arm in study["arms"] if arm["environment"] != "true_slush"):
             name, (predicted, true) = arm["environment"], (arm[of]["mean"] for of in ("predicted", "zero_shot"))
-            by_data_set = _by_data_set(_sample(study, name, "zero_shot", None), best)
+            by_data_set = _by_data_set(champions_of(study, name, "zero_shot", None), best)
             varied = study["variant"] if "throws" in study["series"] else f"{study['series']} {study['variant']}"
             share_of_best = _of_best(study, name, "zero_shot", depth, best_of=whole)
             yield varied, _label(name), predicted, true, share_of_best, by_data_set, _exploiters([study], name)
@@ -214,9 +214,9 @@ def throws(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
 def fluids(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate studies whose target is another fluid."""
     for study in results["studies"]:
-        best, *learned = (_sample(study, name, "gain", study["depth"]) for name in (study["fluid"], "t25", "t100"))
-        travelled = fmean(_sample(study, study["fluid"], "zero_shot", study["depth"]).values)
-        yield study["label"], travelled, *(_ratio(of, best) for of in learned)
+        best, *learned = (champions_of(study, name, "gain", study["depth"]) for name in (study["fluid"], "t25", "t100"))
+        travelled = fmean(champions_of(study, study["fluid"], "zero_shot", study["depth"]).values)
+        yield study["label"], travelled, *(share_of(of, best) for of in learned)
 
 
 @table(
@@ -231,9 +231,9 @@ def tank(results: Results) -> Iterable[tuple[Any, ...]]:
     exact = None
     for study in results["studies"]:
         predicted, true = (
-            _sample(study, "residual_slush", score, study["depth"]) for score in ("predicted", "zero_shot")
+            champions_of(study, "residual_slush", score, study["depth"]) for score in ("predicted", "zero_shot")
         )
-        of_exact = None if exact is None else _ratio(true, exact)
+        of_exact = None if exact is None else share_of(true, exact)
         exact = exact or true
         by_data_set = _by_data_set(true, fmean(exact.values))
         yield study["learned_from"], fmean(predicted.values), fmean(true.values), of_exact, by_data_set
@@ -295,7 +295,7 @@ def _exploiters(studies: Iterable[Results], environment: str) -> str:
     return f"{sum(row['zero_shot'] < row['predicted'] / 2 for row in champions)} of {len(champions)}"
 
 
-def _sample(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
+def champions_of(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
     """Return the champions of an arm at a depth, or all; those of the same data set or draw belong together.
 
     A gain is what is travelled beyond the same bodies with motors off, where that was measured. There are none if a
@@ -336,7 +336,8 @@ def _compared(study: Results, arm: str) -> list[dict[str, Any]]:
     ]
 
 
-def _ratio(part: Sample, whole: Sample) -> Estimate:
+def share_of(part: Sample, whole: Sample) -> Estimate:
+    """Estimate the ratio of the means of two groups of champions."""
     return ratio(part, whole, rng=np.random.default_rng(0))
 
 
@@ -345,7 +346,9 @@ def _of_best(
 ) -> Estimate:
     """Estimate an arm's share of what *E*, that of its own study by default, travels zero-shot in the same steps."""
     of_best = "zero_shot" if score == "adapted" else score
-    return _ratio(_sample(study, environment, score, depth), _sample(best_of or study, "true_slush", of_best, depth))
+    return share_of(
+        champions_of(study, environment, score, depth), champions_of(best_of or study, "true_slush", of_best, depth)
+    )
 
 
 def _with_conditions(study: Results, robust: Results) -> Results:

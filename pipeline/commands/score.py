@@ -18,6 +18,7 @@ from pipeline.store.tables import Columns, csv_of
 from pipeline.workflow.stage import Execution
 from tasks.evolution import OBJECTIVES
 from tasks.residual import arm_kind
+from tasks.simulation.rollout import Engine
 
 _AT_ONCE, _WITH_TRACE = 4096, 64  # designs simulated in one call, to bound the memory
 _UNITS = {
@@ -39,6 +40,9 @@ def score(
     depth: DepthOption,
     options: SettingsOptions,
     environment: EnvironmentOption = None,
+    engine: Annotated[
+        Engine | None, typer.Option("--engine", help="Simulate in another engine than the settings'.")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write the scores (.parquet or .csv).")] = None,
 ) -> None:
     """Score a table of designs in one environment.
@@ -56,7 +60,7 @@ def score(
     networks = required_networks(options, settings, name) if name in settings.learners else {}
     simulation = environments.simulation_spec(settings, name)
     at = environments.build_environment(simulation.media, name, depth, networks)
-    execution, fitness = Execution(settings.work.engine), environments.fitness_spec(settings, name)
+    execution, fitness = Execution(engine or settings.work.engine), environments.fitness_spec(settings, name)
     parts: list[Columns] = []
     at_once = _WITH_TRACE if objective.trace else _AT_ONCE
     for first in range(0, len(designs), at_once):

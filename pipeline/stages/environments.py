@@ -22,6 +22,7 @@ from tasks.residual.ensemble import Ensemble
 from tasks.residual.learner import NetworkUse
 from tasks.seeding import generator
 from tasks.simulation import Conditions, Rollouts, simulate
+from tasks.simulation.mujoco import EngineError
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, MeanResidual, Physics, ResidualSlush
 from tasks.world.medium import MediumError, Networks
 
@@ -135,7 +136,7 @@ def roll_out(
 ) -> Rollouts:
     """Simulate designs, with a trace of every step and the work of the motors where they are asked for.
 
-    Raises PuddleError if the medium, perhaps a user's own, gives no velocity change.
+    Raises PuddleError if the medium, perhaps a user's own, gives no velocity change, or the engine is not here.
     """
     conditions = conditions or Conditions()
     try:
@@ -149,7 +150,7 @@ def roll_out(
             motor_work=motor_work,
             physics=conditions.of_physics(simulation.physics),
         )
-    except MediumError as error:
+    except (MediumError, EngineError) as error:
         raise PuddleError(str(error)) from error
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from pydantic_core import to_jsonable_python
 
@@ -24,6 +24,7 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.track_file import content_of
 from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId
+from tasks.simulation.rollout import Engine
 
 ChainSpecT = TypeVar("ChainSpecT")
 ItemSpecT = TypeVar("ItemSpecT")
@@ -72,7 +73,7 @@ class Failure:
 class Execution:
     """Execution options: how an item is computed. They never change its result."""
 
-    engine: Literal["batch", "reference"] = "batch"
+    engine: Engine = "batch"
     designs_per_batch: int | None = None  # that one worker simulates at a time; None for all on the item's own worker
     n_gpus: int = 0
 

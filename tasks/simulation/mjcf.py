@@ -14,7 +14,7 @@ from tasks.design.gait import TURN, gaits_of
 from tasks.design.genes import N_LINKS, Designs
 from tasks.world.physics import Physics
 
-_SHORTEST_STEP = 1 / 240  # [s]; contacts in MuJoCo want shorter steps than Box2D's
+LONGEST_STEP = 1 / 240  # [s]; contacts in MuJoCo want shorter steps than Box2D's
 _SOFTNESS = 1.0  # error of a motor's speed at which its torque is the largest [rad/s]
 
 
@@ -32,7 +32,7 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None) -> str:
     Xml.SubElement(
         model,
         "option",
-        timestep=_number(min(physics.time_step, _SHORTEST_STEP)),
+        timestep=_number(min(physics.time_step, LONGEST_STEP)),
         gravity=_numbers(0, 0, -physics.gravity),
         integrator="implicitfast",
         cone="elliptic",

@@ -12,12 +12,12 @@ import numpy.typing as npt
 
 from tasks.arrays import ArrayData, Float32, Float64
 from tasks.design.genes import Designs, check
-from tasks.simulation import batch, reference
+from tasks.simulation import batch, mujoco, reference
 from tasks.simulation.box2d import Column, Motion
 from tasks.world import Environment, Medium, Physics, as_environment
 
-Engine = Literal["batch", "reference"]
-ENGINES = {"batch": batch.roll_out, "reference": reference.roll_out}
+Engine = Literal["batch", "reference", "mujoco"]
+ENGINES = {"batch": batch.roll_out, "reference": reference.roll_out, "mujoco": mujoco.roll_out}
 
 OK, DIVERGED = "ok", "diverged"
 
@@ -74,7 +74,8 @@ def simulate(
         depth: another depth of such a medium [m].
         n_settle: steps before the displacement is measured.
         n_measure: steps over which it is measured.
-        engine: "reference" is pybox2d; "batch" computes the same bits faster, and leaves continuous collision to it.
+        raise ValueError(f"engine is {engine!r}, expected any of {', '.join(ENGINES)}")
+    motion = ENGINES["reference" if physics.continuous_collision and engine == "batch" else engine](
         trace: whether to record the state after every step.
         motor_work: whether to add up the mechanical work of the motors.
         physics: constants of the simulator; the paper's by default.
@@ -96,8 +97,8 @@ def simulate(
         if not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name} is {value!r}, expected at least {least}, a whole number")
     if engine not in ENGINES:
-        raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
-    motion = ENGINES["reference" if physics.continuous_collision else engine](
+        raise ValueError(f"engine is {engine!r}, expected any of {', '.join(ENGINES)}")
+    motion = ENGINES["reference" if physics.continuous_collision and engine == "batch" else engine](
         designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work
     )
     second_half_seconds = (n_measure - n_measure // 2) * physics.time_step

@@ -1,0 +1,68 @@
+"""The engine MuJoCo: what it must share with Box2D, and what it lacks."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.design import random_designs
+from tasks.simulation import simulate
+from tasks.simulation.mujoco import EngineError
+from tasks.world import DryLand, EnsembleMedium, LinkStates, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
+
+DESIGNS = random_designs(3, np.random.default_rng(8))
+SWIMMERS = replace(DESIGNS, motor_on=np.ones_like(DESIGNS.motor_on), frequency=np.full(3, 0.25))
+
+
+class Twice(EnsembleMedium):
+    """The slush, as two members."""
+
+    n_members = 2
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        return Slush().velocity_change(links, physics)
+
+
+def test_robots_swim_as_in_box2d_with_the_same_steps():
+    """Motors and joints differ, so paths part; after four seconds by less than a tenth of what links have moved."""
+    physics, steps = Physics(time_step=1 / 240), {"n_settle": 0, "n_measure": 960, "trace": True}
+    in_box2d, in_mujoco = (
+        simulate(SWIMMERS, TrueSlush(9.0), engine=engine, physics=physics, **steps).trace
+        for engine in ("batch", "mujoco")
+    )
+    moved = np.abs(np.diff(in_box2d[..., :2], axis=1)).sum(axis=1).mean()
+    assert np.abs(in_mujoco - in_box2d)[:, -1, :, :2].mean() < 0.1 * moved
+    assert moved > 1.0
+
+
+def test_velocities_are_those_by_which_links_move():
+    """By central differences of positions and angles, whose error is that of the third derivative."""
+    trace = simulate(SWIMMERS, TrueSlush(9.0), engine="mujoco", n_settle=0, n_measure=90, trace=True).trace
+    moved = (trace[:, 2:, :, :3] - trace[:, :-2, :, :3]) * 30
+    assert moved[:, 20:] == pytest.approx(trace[:, 21:-1, :, 3:], abs=0.05)
+
+
+def test_members_of_an_ensemble_are_simulated_each_by_itself():
+    alone = simulate(SWIMMERS, TrueSlush(9.0), engine="mujoco", n_settle=4, n_measure=20, motor_work=True)
+    both = simulate(SWIMMERS, ResidualSlush(9.0, Twice()), engine="mujoco", n_settle=4, n_measure=20, motor_work=True)
+    assert (both.displacement == alone.displacement).all() and both.displacement.shape == (2, 3)
+    assert (both.motor_work == alone.motor_work).all() and (alone.motor_work > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("physics", "said"),
+    [
+        ({"restitution": 0.5}, "physics.restitution is 0.5, which the engine mujoco lacks: expected 0.0"),
+        ({"max_motor_speed": 3.0}, "physics.max_motor_speed is 3.0, which the engine mujoco lacks: expected None"),
+    ],
+)
+def test_physics_that_it_lacks_are_refused(physics, said):
+    with pytest.raises(EngineError, match=said):
+        simulate(SWIMMERS, DryLand(0.0), engine="mujoco", physics=Physics(**physics))
+
+
+def test_a_package_that_is_not_installed_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(EngineError, match="expected the package mujoco, which `pip install mujoco` installs"):
+        simulate(SWIMMERS, DryLand(0.0), engine="mujoco")
