@@ -1,7 +1,8 @@
-"""Score the published champions in other conditions: `.venv/bin/python docs/results/robustness.py`, two minutes.
+"""Score the published champions in other conditions: `.venv/bin/python docs/results/robustness.py`, ten minutes.
 
 It writes robustness.json: every champion of docs/champions.parquet in true slush, with the columns of the table
-``robustness`` [m].
+``robustness`` [m], and two more: in MuJoCo, at three depths; and where the slush's change is added after the solver's
+step, as the paper writes it.
 """
 
 import json
@@ -18,17 +19,31 @@ from pipeline.workflow.stage import Execution
 from tasks.analysis.tables.transfer_robustness import CONDITIONS
 from tasks.design import motors_off
 from tasks.simulation import Conditions
-from tasks.world import TrueSlush
+from tasks.world import LinkStates, Physics, Pool, Slush, TrueSlush, VelocityChange
 
 DOCS = Path(__file__).resolve().parents[1]
 SIMULATION = simulation_spec(Settings(), "true_slush")
+IN_MUJOCO = (0.0, 2.0, 9.0)  # depths [m]
+
+
+class AddedLate:
+    """The slush, whose change by the state before a step is added after it: what the next step begins with."""
+
+    def __init__(self) -> None:
+        """Begin without a change."""
+        self.change: VelocityChange | None = None
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        """Return the change by the links before the last step."""
+        last, self.change = self.change, Slush().velocity_change(links, physics)
+        return last or VelocityChange(*np.zeros((3, *links.y.shape), links.y.dtype))
 
 
 def main() -> None:
     """Score the champions depth by depth."""
     table = pq.read_table(DOCS / "champions.parquet").select(["environment", "made_by", "depth", "trial"])
     designs, depths = puddle.open_designs(DOCS / "champions.parquet"), np.array(table["depth"])
-    scores = {name: np.empty(len(designs)) for name in (*CONDITIONS, "passive")}
+    scores = {name: np.full(len(designs), np.nan) for name in (*CONDITIONS, "passive", "added_late", "mujoco")}
     for depth in np.unique(depths):
         own, target = depths == depth, TrueSlush(depth=float(depth))
 
@@ -38,8 +53,11 @@ def main() -> None:
         for name, conditions in CONDITIONS.items():
             scores[name][own] = np.mean([score(designs[own], one) for one in conditions], axis=0)
         scores["passive"][own] = score(motors_off(designs[own]), Conditions())
+        scores["added_late"][own] = puddle.simulate(designs[own], Pool(float(depth), AddedLate())).displacement
+        if depth in IN_MUJOCO:
+            scores["mujoco"][own] = puddle.simulate(designs[own], target, engine="mujoco").displacement
     rows = [
-        row | {name: round(float(values[i]), 4) for name, values in scores.items()}
+        row | {name: round(float(values[i]), 4) for name, values in scores.items() if np.isfinite(values[i])}
         for i, row in enumerate(table.to_pylist())
     ]
     results = {"schema": "puddle.robustness", "version": 1, "made_with": dict(provenance()), "champions": rows}
