@@ -220,6 +220,52 @@ def fluids(results: Results) -> Iterable[tuple[Any, ...]]:
 
 
 @table(
+    text("fluid"),
+    text("throws"),
+    share("law"),
+    share("law and networks"),
+    share("wetted"),
+    share("plain, copies"),
+    share("plain"),
+)
+def curves(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate shares of what *E* gains in several fluids, by the number of throws and the form of networks."""
+    for study in results["studies"]:
+        best, learned = champions_of(study, study["fluid"], "gain"), {row["environment"] for row in study["champions"]}
+        for number in sorted({int(name.rpartition("_")[2]) for name in learned - {study["fluid"]}}):
+            names = (f"{form}_{number}" for form in ("law", "both", "wetted", "symmetric", "plain"))
+            yield study["label"], number, *(share_of(champions_of(study, name, "gain"), best) for name in names)
+
+
+@table(
+    text("depth [m]", "{:g}"),
+    text("robots of"),
+    metres("1/60 s"),
+    metres("late"),
+    metres("1/240 s"),
+    metres("MuJoCo"),
+    share("of *E*, 1/240 s"),
+    share("of *E*, MuJoCo"),
+    text("alike"),
+)
+def engines(robust: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate champions in Box2D and in MuJoCo; those that go as far within 15 % in steps of 1/240 s are alike."""
+    columns = ("one", "added_late", "quarter_steps", "mujoco")
+    groups: dict[tuple[float, str], list[Mapping[str, float]]] = {}
+    for row in robust["champions"]:
+        if "mujoco" in row:
+            groups.setdefault((row["depth"], row["made_by"]), []).append(row)
+    for depth, makers in sorted(groups, key=lambda group: (-group[0], group[1] != "True Slush", group[1])):
+        of, best = (
+            {name: np.array([row[name] for row in groups[depth, by]]) for name in columns}
+            for by in (makers, "True Slush")
+        )
+        shares = (of[name].mean() / best[name].mean() for name in columns[2:])
+        alike = np.count_nonzero(abs(of["mujoco"] / of["quarter_steps"] - 1) <= 0.15)
+        yield depth, makers, *(of[name].mean() for name in columns), *shares, f"{alike} of {len(of['one'])}"
+
+
+@table(
     text("learned from"),
     metres("predicted"),
     metres("true"),

@@ -118,7 +118,7 @@ def _flows(transitions: Transitions) -> str:
         return ""
     return (
         f"the fluid flows at {flow:.2f} ± {sd:.2f} m/s, and wetted networks learn a fluid at rest: "
-        "set network.form to plain"
+        "set network.form to plain or law:flowing_slush"
     )
 
 

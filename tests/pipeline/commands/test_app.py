@@ -42,7 +42,7 @@ def check_headline(said: str, page: Path, store: str) -> None:
     assert heading.startswith("Champions of study tiny in True Slush, 1 m deep")
     assert objective == "selected for: displacement"
     assert scale == "1/4,000 of the paper’s evolution: the figures mean nothing"
-    assert re.split("  +", columns) == ["evolved in", "depth", "zero-shot", "share", "adapted", "share", "predicted"]
+    assert re.split("  +", columns) == ["evolved in", "depth", "zero-shot", "share", "share,", "predicted"]
     assert [arm.split(",")[0] for arm in arms][:3] == ["True Slush", "Dry Land", "Residual Slush"]
     assert opened == f"Open: {page.as_uri()}"
     assert max(len(line) for line in (heading, columns, *arms)) <= 80
