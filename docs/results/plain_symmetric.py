@@ -12,6 +12,7 @@ register_form(
     replace(
         PLAIN,
         name="plain_symmetric",
-        symmetries=(("cos_angle",), ("x", "angle", "vx", "omega")),  # half a turn; the mirror image
+        symmetries=[("cos_angle",)],  # half a turn
+        mirror=("x", "angle", "vx", "omega"),
     )
 )

@@ -26,9 +26,9 @@ class Architecture(Parameters):
     form: str = "plain"
     """What networks know of links, a file in tasks/residual/forms: nothing [P]; "signed_angle", which way they lean,
     for media that push a tilted plate sideways; or "wetted", which part is under water. The last need several times
-    fewer throws, of a fluid that does not flow: they learn from the mirror image of every throw, too. "law" fits the
-    constants of the slush and no network, "law_and_network" lets networks learn what that leaves over; the law of
-    another medium is "law:flowing_slush"."""
+    fewer throws, and fewest of a fluid at rest: of that they learn from the mirror image of every throw, too. "law"
+    fits the constants of the slush and no network, "law_and_network" lets networks learn what that leaves over; the law
+    of another medium is "law:flowing_slush"."""
 
     @property
     def about(self) -> str:

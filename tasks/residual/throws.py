@@ -113,8 +113,8 @@ class Transitions(ArrayData):
         _, y, angle, vx, vy, omega = self.state.T
         return LinkStates(*link_constants(self.length_scale, physics), y, np.cos(angle), np.sin(angle), vx, vy, omega)
 
-    def __getitem__(self, rows: Bools) -> Self:
-        """Select transitions by a mask."""
+    def __getitem__(self, rows: Bools | Int64) -> Self:
+        """Select transitions by a mask, or by their numbers."""
         return type(self)(**{name: column[rows] for name, column in self.columns().items()})
 
     @staticmethod

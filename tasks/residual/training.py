@@ -14,6 +14,7 @@ import torch
 from numpy.random import Generator
 
 from tasks.arrays import Bools, Float32, Float64, Floats, Int64
+from tasks.residual.current import current, is_current
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.error_report import ErrorRow, error_rows
@@ -167,7 +168,8 @@ def train_member(
     inputs = read[:, : len(form.inputs)]
     examples = inputs, form.measured(inputs, left_over), weights
     learned, held_out = (tuple(array[rows] for array in examples) for rows in (to_learn, to_validate))
-    learned = symmetric_copies(form, *learned)
+    mirrored = bool(form.mirror) and not is_current(*current(transitions[to_learn]))
+    learned = symmetric_copies(form, *learned, mirrored=mirrored)
     standardisation = Standardisation.of(*learned[:2], standardise_targets=training.standardise_targets)
 
     def standardised(inputs: Float32, change: Float32, weights: Float32) -> tuple[Float32, Targets]:

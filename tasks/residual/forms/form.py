@@ -88,6 +88,8 @@ class Form:
     symmetries: Sequence[Collection[str]] = ()
     """Names among inputs, ``beside`` and ``outputs`` that change sign where a motion is exchanged for another that is
     as possible. Networks learn from all copies."""
+    mirror: Collection[str] = ()
+    """The same of mirror images, from which networks learn unless the throws show that the fluid flows."""
 
     objection: Callable[[Medium, Physics], str] = _learns_any_medium
     """Why networks can't learn a medium, such as "acts above y = 0: expected plain"; "" if they can."""
@@ -170,10 +172,10 @@ def velocity_changes(form: Form, outputs: Floats, inputs: Floats) -> Floats:
 
 
 def symmetric_copies(
-    form: Form, inputs: Float32, change: Float32, weights: Float32
+    form: Form, inputs: Float32, change: Float32, weights: Float32, *, mirrored: bool
 ) -> tuple[Float32, Float32, Float32]:
-    """Return the rows, and their copies by each symmetry and by several at once."""
-    for odd in form.symmetries:
+    """Return the rows, and their copies by each symmetry and by several at once, with or without mirror images."""
+    for odd in (*form.symmetries, *([form.mirror] if mirrored else [])):
         inputs, change = (
             np.concatenate((rows, rows * np.array([1 - 2 * (name in odd) for name in names], np.float32)))
             for rows, names in ((inputs, form.inputs), (change, form.learned))

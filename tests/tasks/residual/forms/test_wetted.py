@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from tasks.residual import Architecture, MeasuredTransitions, Throws, Training, initial_states, simulate_throws
+from tasks.residual.current import current, is_current
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.forms import observe, symmetric_copies, velocity_changes
-from tasks.residual.forms.wetted import WETTED, current
+from tasks.residual.forms.wetted import WETTED
 from tasks.residual.torch_descent import mean_loss
 from tasks.residual.training import split_throws, train_member
 from tasks.world import LinkStates, Physics, Slush, VelocityChange
@@ -84,7 +85,7 @@ def test_copies_are_what_links_turned_by_half_a_turn_and_mirrored_links_observe(
     changes = change, change, *[change * np.float32([-1, 1, -1])] * 2
     expected = [WETTED.measured(*motion) for motion in zip(inputs, changes, strict=True)]
     distinct = np.arange(1500, dtype=np.float32).reshape(500, 3)
-    copies, copied, weights = symmetric_copies(WETTED, inputs[0], expected[0], distinct)
+    copies, copied, weights = symmetric_copies(WETTED, inputs[0], expected[0], distinct, mirrored=True)
     np.testing.assert_array_equal(copies, np.concatenate(inputs))
     np.testing.assert_array_equal(copied, np.concatenate(expected))
     np.testing.assert_array_equal(weights, np.tile(distinct, (4, 1)))
@@ -153,3 +154,25 @@ def test_the_flow_of_a_fluid_is_seen_in_throws(flow, design):
     found, sd = current(thrown)
     assert sd < 0.02 and abs(found - flow) < 4 * sd
     assert WETTED.warning(thrown).startswith(f"the fluid flows at {found:.2f}") == (flow != 0)
+    assert is_current(found, sd) == (flow != 0)
+
+
+def test_networks_learn_from_mirror_images_where_the_fluid_is_at_rest(monkeypatch):
+    """Of a fluid that flows, mirror images would teach that it does not."""
+    settings = Throws(design="robots", n_throws=25, n_steps=100)
+    starts = initial_states(settings, np.random.default_rng(2))
+    flowing, still = (simulate_throws(starts, 100, medium, Physics()) for medium in (FlowingSlush(), Slush()))
+    training = Training(n_iterations=800, batch_size=512, learning_rate=0.02, loss="mse", held_out=0.3)
+
+    def error(thrown):
+        member = train_member(
+            thrown, Architecture(hidden_layers=2, width=32, form="wetted"), training, seed=1, member=0
+        )
+        (row,) = (row for row in member.validation if (row.component, row.band) == ("vx", "all"))
+        return row.relative_error
+
+    of_flowing, of_still = error(flowing), error(still)
+    monkeypatch.setattr("tasks.residual.training.is_current", lambda flow, sd: False)
+    assert error(flowing) > of_flowing and error(still) == of_still
+    monkeypatch.setattr("tasks.residual.training.is_current", lambda flow, sd: True)
+    assert error(flowing) == of_flowing and error(still) > of_still
