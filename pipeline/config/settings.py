@@ -355,7 +355,8 @@ class RecordedSettings(Settings, extra="allow"):
 
     @property
     def missing(self) -> list[str]:
-        """Names of what is used and has no code."""
+        """Names of what is used or listed and has no code."""
         used = {self.target, *self.grid.environments} - {*ENVIRONMENTS, *self.learners}
-        used |= {one.network.form for one in self.arm_learners.values() if not form_here(one.network.form)}
+        forms = {self.network.form, *(given.network.form for given in self.learners.values())}
+        used |= {form for form in forms if not form_here(form)}
         return sorted(used | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})

@@ -118,7 +118,7 @@ def test_an_environment_is_also_a_name_or_a_medium():
         ({"physics": 3}, TypeError, "physics: expected Physics, got int"),
         ({"n_measure": 0}, ValueError, "n_measure is 0, expected at least 1"),
         ({"n_settle": 1.5}, ValueError, "n_settle is 1.5, expected at least 0, a whole number"),
-        ({"engine": "fast"}, ValueError, "engine is 'fast', expected 'batch' or 'reference'"),
+        ({"engine": "fast"}, ValueError, "engine is 'fast', expected any of batch, reference, mujoco"),
     ],
 )
 def test_a_wrong_argument_of_simulate_is_named(arguments, error, said):

@@ -70,7 +70,7 @@ def test_mistakes_are_refused_by_name(designs: Designs, engine: str) -> None:
     broken, wild = designs.parent.copy(), designs.frequency.copy()
     broken[1, 3], wild[5] = 4, np.nan
     for bad, options, error, message in (
-        (designs, {"engine": "bullet"}, ValueError, "engine is 'bullet', expected 'batch' or 'reference'"),
+        (designs, {"engine": "bullet"}, ValueError, "engine is 'bullet', expected any of batch, reference, mujoco"),
         (designs, {"n_settle": -1}, ValueError, "n_settle is -1, expected at least 0"),
         (designs, {"n_measure": 0}, ValueError, "n_measure is 0, expected at least 1"),
         (replace(designs, parent=broken), {}, DesignError, "design 1: parent of link 3 is 4"),
