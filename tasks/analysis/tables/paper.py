@@ -31,8 +31,8 @@ from tasks.analysis.estimates import (
     RESOLUTION,
     Estimate,
     Sample,
-    components,
     error_of,
+    error_of_mean,
     linearised,
     ratio,
     sum_of_means,
@@ -120,8 +120,14 @@ def _ratios(trials: Sequence[ScoredTrial], rng: Generator) -> Iterator[PaperRow]
 
 def _widened(*samples: Sample) -> float:
     """Return the factor by which the paper's own trials, if they vary like these, widen the interval of their sum."""
-    of_paper = sum(variance.between + variance.within / N_TRIALS for variance in map(components, samples))
-    return math.sqrt(1 + of_paper / error_of(*samples)[0])
+    return math.sqrt(1 + sum(map(_variance_of_paper, samples)) / error_of(*samples)[0])
+
+
+def _variance_of_paper(sample: Sample) -> float:
+    """Return the variance of the mean of the paper's trials, which share a replicate."""
+    n_replicates, within = len(np.unique(sample.replicate)), within_replicates(sample)[0]
+    between = n_replicates * (error_of_mean(sample)[0] - within / len(sample))
+    return max(between, 0.0) + within / N_TRIALS
 
 
 def _variation(trials: Sequence[ScoredTrial]) -> Iterator[PaperRow]:

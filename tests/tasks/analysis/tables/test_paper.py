@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scores_of import spread, study_of
 
-from tasks.analysis.estimates import Sample, components, ratio
+from tasks.analysis.estimates import Sample, error_of_mean, ratio, within_replicates
 from tasks.analysis.paper import AGGREGATES, MEANS, RATIOS, STATEMENTS
 from tasks.analysis.scores import sample
 from tasks.analysis.study import Assessed
@@ -78,8 +78,8 @@ def test_intervals_include_the_variance_between_replicates_which_counts_in_full_
     row = rows_of(study)["Residual Slush zero-shot / True Slush at 9 m"]
     part, whole = (sample(study.trials, (arm, "zero_shot"), 9.0) for arm in ("residual_slush", "true_slush"))
     assert row.value == ratio(part, whole, rng=np.random.default_rng(0))
-    found, r = components(part), part.values.mean() / whole.values.mean()
-    own, of_paper = found.of_mean + r**2 / 10, found.between + found.within / 10 + r**2 / 10
+    (own, _), (within, _), r = error_of_mean(part), within_replicates(part), part.values.mean() / whole.values.mean()
+    own, of_paper = own + r**2 / 10, 2 * own - within / 5 + within / 10 + r**2 / 10  # σ_a² + σ_e² / 5 is twice our own
     half = math.sqrt(1 + of_paper / own) * (row.value.high - row.value.low) / 2
     low, high = (100 * (r - 0.67 + side * half) for side in (-1, 1))
     assert f"({low:z.0f}% to {high:z.0f}%)" in row.decides
@@ -127,7 +127,7 @@ def test_the_deviation_over_trials_is_that_within_replicates_with_the_interval_o
     single, ensemble = draw.normal(0, [[4.0], [1.0]], (2, 12)) + 50.0 * replicate
     values = {("single_member", 9.0): single, ("residual_slush", 9.0): ensemble}
     row = rows_of(study_of(values, n_replicates=3))["deviation over trials, single member / ensemble, zero-shot at 9 m"]
-    x, y = (components(Sample(of, replicate)).within for of in (single, ensemble))
+    x, y = (within_replicates(Sample(of, replicate))[0] for of in (single, ensemble))
     ends = tuple(math.sqrt(x / y / stats.f.ppf(tail, 9, 9)) for tail in (0.975, 0.025))
     assert row.value.value == pytest.approx(math.sqrt(x / y)) and row.value.interval == pytest.approx(ends)
     assert row.verdict == "agrees"
