@@ -1,14 +1,17 @@
-"""Three fluids that wetted networks were not made for; docs/throws.md says how well they do there.
+"""Three fluids that wetted networks were not made for, of which docs/throws.md tells, and one with coarser steps.
 
 other-fluids.json has ``mass_carried_along`` as ``added_mass``, which it is not: joints move the link alone.
 
 ``--with docs/results/other_fluids.py`` registers them, and ``--set target=point_drag`` throws links into one.
 """
 
+from typing import Any
+
 import numpy as np
 from pydantic import Field
 
 from tasks.parameters import Parameters
+from tasks.simd.lanes import select, sqrt
 from tasks.world.medium import LinkStates, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import register_medium
@@ -86,6 +89,20 @@ class LayeredSlush(Slush):
         )
 
 
+class EulerSlush(Slush):
+    """The slush, whose drag is integrated by explicit steps; one that would reverse a velocity stops it."""
+
+    @staticmethod
+    def law(factors: Any, links: LinkStates) -> tuple[Any, Any, Any]:
+        """Return the changes of vx, vy and ω in a step."""
+        area, second_moment = submerged_part(links.length_scale, links.y, links.cos, links.sin)
+        lost = factors[0] * area / links.mass * sqrt(links.vx * links.vx + links.vy * links.vy)
+        lost_spin = factors[1] * second_moment / links.inertia * abs(links.omega)
+        lost, lost_spin = select(lost < 1, lost, 1), select(lost_spin < 1, lost_spin, 1)
+        return -lost * links.vx, factors[2] * area / links.mass - lost * links.vy, -lost_spin * links.omega
+
+
 register_medium("point_drag", PointDrag, "Point Drag")
 register_medium("mass_carried_along", MassCarriedAlong, "Mass Carried Along")
 register_medium("layered_slush", LayeredSlush, "Layered Slush")
+register_medium("euler_slush", EulerSlush, "Slush by Euler's Steps")
