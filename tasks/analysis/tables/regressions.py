@@ -45,6 +45,9 @@ class Regression:
     r: Estimate = column("R", form="{:z.2f}", meaning="Pearson's correlation.")
     slope: Estimate = column("slope", form="{:z.2f}", meaning="Below 1, predictions are too optimistic.")
     intercept: Estimate = column("intercept", "m", form="{:z.2f}", shown=False)
+    within: float | None = column(
+        "within 2σ", form="{:.0%}", meaning="Share of designs that get to μ ± 2σ; ideally 95 %."
+    )
 
 
 def _metrics(rows: Sequence[Regression]) -> dict[str, float | None]:
@@ -100,8 +103,13 @@ def accuracy(assessed: Assessed, data_set: str, rng: np.random.Generator) -> lis
         sums = np.zeros((len(first), rows.shape[1]))
         np.add.at(sums, trial, rows)
         estimates = _estimated(figures, sums, assessed.replicate[used][first], rng)
-    of_each = {name: estimates[3 * i : 3 * i + 3] for i, name in enumerate(predictors)}
-    return [Regression(data_set, name, r if has_r else MISSING, *line) for name, (r, *line) in of_each.items()]
+    off, sigma = abs(predictors[MEAN] - y)[used], assessed.predicted[:, used].std(axis=0)
+    within = {MEAN: float((off <= 2 * sigma).mean())} if used.any() else {}
+    of_each = zip(predictors, estimates[::3], estimates[1::3], estimates[2::3], strict=True)
+    return [
+        Regression(data_set, name, r if has_r else MISSING, slope, intercept, within.get(name))
+        for name, r, slope, intercept in of_each
+    ]
 
 
 def _moments(x: Float64, y: Float64) -> tuple[Float64, Callable[[Float64], Float64]]:

@@ -37,6 +37,13 @@ def test_a_worked_example():
     assert found.intercept.value == pytest.approx(3 - 1.5 * 7 / 5)
 
 
+def test_predictions_are_calibrated_if_designs_get_to_within_two_deviations():
+    """Members are 1 to either side of μ, so σ = 1; designs are off by 0, 1, 2, 3 and 9, and one diverged."""
+    mean = np.array([5.0, 6.0, 7.0, 8.0, 9.0, 4.0])
+    found = assess([mean - 1, mean + 1], mean + np.array([0, 1, -2, 3, -9, np.nan]))
+    assert [row.within for row in found] == [None, None, 3 / 5, None]
+
+
 def test_equals_scipy_far_from_the_origin():
     x, y = noisy(300, 0.7, 1.5)
     found, expected = one(x + 1e6, y - 1e6), stats.linregress(x + 1e6, y - 1e6)
