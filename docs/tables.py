@@ -210,15 +210,6 @@ def throws(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
         yield f"{n_throws}, {form}", *of_best, _exploiters(by_depth.values(), name)
 
 
-@table(text("fluid"), metres("*E*"), share("25 throws, of *E*"), share("100 throws, of *E*"))
-def fluids(results: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate studies whose target is another fluid."""
-    for study in results["studies"]:
-        best, *learned = (champions_of(study, name, "gain", study["depth"]) for name in (study["fluid"], "t25", "t100"))
-        travelled = fmean(champions_of(study, study["fluid"], "zero_shot", study["depth"]).values)
-        yield study["label"], travelled, *(share_of(of, best) for of in learned)
-
-
 @table(
     text("fluid"),
     text("throws"),

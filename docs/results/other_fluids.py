@@ -1,7 +1,5 @@
 """Three fluids that wetted networks were not made for, of which docs/throws.md tells, and one with coarser steps.
 
-other-fluids.json has ``mass_carried_along`` as ``added_mass``, which it is not: joints move the link alone.
-
 ``--with docs/results/other_fluids.py`` registers them, and ``--set target=point_drag`` throws links into one.
 """
 
