@@ -29,14 +29,16 @@ IN_MUJOCO = (0.0, 2.0, 9.0)  # depths [m]
 class AddedLate:
     """The slush, whose change by the state before a step is added after it: what the next step begins with."""
 
-    def __init__(self) -> None:
+    change = VelocityChange(np.float32(0), np.float32(0), np.float32(0))
+
+    def start(self, links: LinkStates, physics: Physics, depth: float) -> "AddedLate":  # noqa: ARG002
         """Begin without a change."""
-        self.change: VelocityChange | None = None
+        return AddedLate()
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Return the change by the links before the last step."""
         last, self.change = self.change, Slush().velocity_change(links, physics)
-        return last or VelocityChange(*np.zeros((3, *links.y.shape), links.y.dtype))
+        return last
 
 
 def main() -> None:

@@ -30,7 +30,7 @@ from tasks.residual import LEARNERS, Architecture, Learner, LearnerSettings, Thr
 from tasks.residual.forms import form_here
 from tasks.residual.learner import learner_of
 from tasks.simulation import Conditions
-from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, Physics, Slush
+from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, MediumWithMemory, Physics, Slush
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
 
@@ -291,7 +291,7 @@ class Settings(Parameters):
         return arm_kind(self.target).label
 
     @property
-    def target_medium(self) -> Medium | None:
+    def target_medium(self) -> Medium | MediumWithMemory | None:
         """The target's medium, with its settings; None if it is learned."""
         kind = ENVIRONMENTS.get(self.target)
         return None if kind is None else kind.environment(0.0, getattr(self, kind.settings_group or "", None)).medium

@@ -29,9 +29,9 @@ def disagreement_along(designs: Designs, trace: Floats, ensemble: EnsembleMedium
     """
     trees = kinematic_trees(designs, density=physics.link_density)
     bodies = (array.astype(trace.dtype)[:, None] for array in (designs.length_scale, trees.mass, trees.inertia))
-    _, y, angle, vx, vy, omega = np.moveaxis(trace, -1, 0)
+    x, y, angle, vx, vy, omega = np.moveaxis(trace, -1, 0)
     shape = (ensemble.n_members, *y.shape)
-    states = (*bodies, y, np.cos(angle), np.sin(angle), vx, vy, omega)
+    states = (*bodies, y, np.cos(angle), np.sin(angle), vx, vy, omega, x)
     links = LinkStates(*(np.broadcast_to(array, shape) for array in states))
     change = ensemble.velocity_change(links, physics)
     predicted = np.stack((change.vx, change.vy, change.omega)).astype(np.float64) / physics.time_step

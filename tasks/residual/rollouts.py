@@ -121,11 +121,11 @@ class MediumModel(nn.Module):
 
     @torch.no_grad()
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (that of the fit)
-        """Return the changes of (n,) links, in the precision of their states."""
+        """Return the changes of links, in the precision of their states."""
         columns = (links.length_scale, links.y, np.arctan2(links.sin, links.cos), links.vx, links.vy, links.omega)
-        a, y, *rest = (torch.from_numpy(column.astype(np.float64)) for column in columns)
+        a, y, *rest = (torch.from_numpy(column.ravel().astype(np.float64)) for column in columns)
         change = self(a, torch.stack((torch.zeros_like(y), y, rest[0]), dim=1), torch.stack(rest[1:], dim=1))
-        return VelocityChange(*change.numpy().astype(links.y.dtype).T)
+        return VelocityChange(*change.numpy().astype(links.y.dtype).T.reshape(3, *links.y.shape))
 
 
 class _Windows:

@@ -22,6 +22,7 @@ from tasks.residual.robot_ranges import robot_ranges
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks, link_constants
 from tasks.world import Environment, LinkStates, Medium, Physics, as_environment
+from tasks.world.medium import MediumInRollout, MediumWithMemory
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
@@ -110,8 +111,9 @@ class Transitions(ArrayData):
 
     def links(self, physics: Physics) -> LinkStates:
         """Return the links before the steps, each (n_transitions,)."""
-        _, y, angle, vx, vy, omega = self.state.T
-        return LinkStates(*link_constants(self.length_scale, physics), y, np.cos(angle), np.sin(angle), vx, vy, omega)
+        x, y, angle, vx, vy, omega = self.state.T
+        of_links = link_constants(self.length_scale, physics)
+        return LinkStates(*of_links, y, np.cos(angle), np.sin(angle), vx, vy, omega, x)
 
     def __getitem__(self, rows: Bools | Int64) -> Self:
         """Select transitions by a mask, or by their numbers."""
@@ -178,7 +180,7 @@ def even_starts(
     return Starts(np.arange(n), length_scale, np.stack((np.zeros(n), *rest), axis=1).astype(np.float32))
 
 
-def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physics) -> Transitions:
+def simulate_throws(starts: Starts, n_steps: int, medium: Medium | MediumWithMemory, physics: Physics) -> Transitions:
     """Return (len(starts) · n_steps) transitions, ordered by throw and step: a step in E and one in E' from each state.
 
     Args:
@@ -190,11 +192,11 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physi
     links = FreeLinks(starts.length_scale, physics)
     n = len(starts)
     state, in_slush, on_dry_land = np.empty((3, n, n_steps, len(STATE)), dtype=np.float32)
-    now = starts.state
+    now, around = starts.state, MediumInRollout(medium, np.inf)
     for step in range(n_steps):
         state[:, step] = now
         on_dry_land[:, step] = links.step(now, None)
-        now = links.step(now, medium)
+        now = links.step(now, around)
         in_slush[:, step] = now
 
     x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))

@@ -17,6 +17,7 @@ from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.trees.groups import Groups
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE
 from tasks.world import Environment, Physics
+from tasks.world.medium import MediumInRollout
 
 
 def scene_of(environment: Environment, physics: Physics) -> Scene:
@@ -66,6 +67,7 @@ def roll_out(
     those of :func:`tasks.simulation.rollout.simulate`, and the lanes of a group, on which results do not depend.
     """
     medium = environment.medium
+    around = MediumInRollout(medium, environment.depth) if medium else None
     n_members = environment.n_members
     networks: PackedNetworks | None = getattr(medium, "networks", None)
     robots: Groups | Robots
@@ -85,9 +87,9 @@ def roll_out(
             scene = scene._replace(motor_work=motor_work)
         if networks is not None and not trace:
             robots.advance_with_networks(networks, scene, first, last - first)
-        elif medium is not None and not is_compiled(medium):
+        elif around is not None and not is_compiled(medium):
             for step in range(first, last):
-                robots.push(medium)
+                robots.push(around)
                 robots.advance(scene, step, 1, None if states is None else states[:, step : step + 1])
         else:
             robots.advance(scene, first, last - first, None if states is None else states[:, first:last])

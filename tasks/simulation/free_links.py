@@ -53,10 +53,12 @@ class FreeLinks:
         if medium is not None:
             sin, cos = sines_and_cosines(state[:, Column.ANGLE])
             length, mass, inertia = self._constants
-            vx, vy, omega = velocity.T
-            links = LinkStates(length, mass, inertia, state[:, Column.Y], cos, sin, vx, vy, omega)
+            x, y, _, vx, vy, omega = state.T
+            of_bars = (length, mass, inertia, y, cos, sin, vx, vy, omega, x)
+            links = LinkStates(*(of[None, :, None] for of in of_bars))  # each bar is alone in its world
             change = change_in(medium, links, self._physics)
-            velocity = (velocity + np.stack((change.vx, change.vy, change.omega), axis=1)).astype(np.float32)
+            changes = np.stack((change.vx, change.vy, change.omega), axis=-1)[0, :, 0]
+            velocity = (velocity + changes).astype(np.float32)
         dt = np.float32(self._physics.time_step)
         vx, vy, omega = velocity.T
         vy = vy + dt * np.float32(-self._physics.gravity)

@@ -19,7 +19,7 @@ from tasks.simulation.conditions import Conditions
 from tasks.simulation.controller import Controllers
 from tasks.simulation.mjcf import LONGEST_STEP, mjcf
 from tasks.world import Environment, LinkStates, Physics
-from tasks.world.medium import change_in
+from tasks.world.medium import MediumInRollout
 
 _LACKS = {"restitution": 0.0, "max_motor_speed": None, "continuous_collision": False}
 
@@ -105,15 +105,18 @@ def roll_out(
         np.broadcast_to(of.astype(np.float32), shape) for of in (designs.length_scale, trees.mass, trees.inertia)
     )
 
+    medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None
+
     def states() -> Float32:
         return np.stack([robot.state() for robot in robots]).reshape(*shape, 6).astype(np.float32)
 
     def forces(state: Float32) -> Float64 | None:
-        if environment.medium is None:
+        if medium is None:
             return None
-        _, y, angle, vx, vy, omega = np.moveaxis(state, -1, 0)
-        links = LinkStates(length, mass, inertia, y, np.cos(angle), np.sin(angle), vx, vy, omega)
-        change = change_in(environment.medium, links, physics)
+        x, y, angle, vx, vy, omega = np.moveaxis(state, -1, 0)
+        turned = np.cos(angle), np.sin(angle)
+        links = LinkStates(length, mass, inertia, y, *turned, vx, vy, omega, x=x, parent=designs.parent)
+        change = medium.velocity_change(links, physics)
         impulse = np.stack((mass * change.vx, mass * change.vy, inertia * change.omega), axis=-1)
         return (impulse / physics.time_step).reshape(-1, N_LINKS, 3)
 

@@ -21,7 +21,7 @@ from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column
 from tasks.simulation.controller import Controllers, fastest, motor_speed
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
-from tasks.world.medium import change_in
+from tasks.world.medium import MediumInRollout
 
 _COLLIDES_WITH_GROUND_ONLY = {"groupIndex": -1}
 """Filter of links that pass through each other: fixtures of one negative group never collide. The ground is in none."""
@@ -161,10 +161,11 @@ def roll_out(
     torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
     work = np.zeros((n_members, n_designs, N_LINKS), np.float32) if motor_work else None
     settled = halfway = placed.state
+    medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None
     for step in range(n_steps):
         _command_motors(robots, controllers, trees, placed.state, step, physics)
-        if environment.medium is not None:
-            _push(links, environment.medium, designs, trees, placed, physics)
+        if medium is not None:
+            _push(links, medium, designs, trees, placed, physics)
         for robot, robot_alive in zip(robots, alive.flat, strict=True):
             if robot_alive:
                 robot.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
@@ -224,10 +225,10 @@ def _push(
     links: _Links, medium: Medium, designs: Designs, trees: KinematicTrees, placed: PlacedLinks, physics: Physics
 ) -> None:
     """Change the velocities of all bodies by the medium's push on their links."""
-    _, y, _, vx, vy, omega = np.moveaxis(placed.state, -1, 0)
+    x, y, _, vx, vy, omega = np.moveaxis(placed.state, -1, 0)
     length, mass, inertia = (
         np.broadcast_to(of_design, y.shape)
         for of_design in (designs.length_scale.astype(np.float32), trees.mass, trees.inertia)
     )
-    states = LinkStates(length, mass, inertia, y, placed.cos, placed.sin, vx, vy, omega)
-    links.push(placed, change_in(medium, states, physics))
+    states = LinkStates(length, mass, inertia, y, placed.cos, placed.sin, vx, vy, omega, x=x, parent=designs.parent)
+    links.push(placed, medium.velocity_change(states, physics))

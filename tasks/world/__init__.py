@@ -6,7 +6,7 @@ Each medium is one file, which registers its environment; see :mod:`tasks.world.
 from tasks.discovery import import_extensions
 from tasks.world.dry_land import DryLand
 from tasks.world.environment import Environment, Pool
-from tasks.world.medium import EnsembleMedium, Fluid, LinkStates, Medium, VelocityChange
+from tasks.world.medium import EnsembleMedium, Fluid, LinkStates, Medium, MediumWithMemory, VelocityChange
 from tasks.world.physics import Physics, froude_time
 from tasks.world.randomised_slush import RandomisedSlush, RandomisedSlushes
 from tasks.world.registry import ENVIRONMENTS, EnvironmentName

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import ClassVar
 
-from tasks.world.medium import Medium
+from tasks.world.medium import Medium, MediumWithMemory
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Environment:
             raise ValueError(f"depth is {depth!r}, expected a finite number of metres, at least 0")
 
     @property
-    def medium(self) -> Medium | None:
+    def medium(self) -> Medium | MediumWithMemory | None:
         """Medium around the links, or None."""
         return None
 
@@ -38,9 +38,9 @@ class Environment:
 class Pool(Environment):
     """Rigid links over hard ground, in a given medium: one that a study registers, or one of your own."""
 
-    fluid: Medium
+    fluid: Medium | MediumWithMemory
 
     @property
-    def medium(self) -> Medium:
+    def medium(self) -> Medium | MediumWithMemory:
         """The fluid."""
         return self.fluid

@@ -2,18 +2,24 @@
 
 The change is computed from the state at the start of a step and added before the rigid-body simulator's step. So the
 residual of a step is an exact function of the state, and the joints are solved with the new velocities.
+
+A medium with memory, such as a fluid that moves with the links, has a method ``start``, which makes one for a rollout.
 """
 
 from abc import abstractmethod
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from tasks.arrays import ArrayData, Float64, Floats
 from tasks.discovery import located
 from tasks.parameters import Parameters
 from tasks.world.physics import Physics
+
+_ZERO = partial(np.zeros, (), np.float32)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -21,7 +27,8 @@ class LinkStates(ArrayData):
     """States of links at the start of a step; all arrays have the same shape.
 
     In a rollout that shape is (n_members, n_designs, n_links), with one member for an environment without an ensemble.
-    There is no horizontal position: a medium is uniform along x.
+    Every design is alone in its world, and its links are in its own order. Thrown bars are designs of one link. Fields
+    with a default may be given as a number for all links.
     """
 
     length_scale: Floats  # long axis [m]; the short axis is its reciprocal
@@ -33,6 +40,18 @@ class LinkStates(ArrayData):
     vx: Floats  # [m/s]
     vy: Floats  # [m/s]
     omega: Floats  # [rad/s]
+    x: Floats = field(default_factory=_ZERO)  # horizontal position of the centre of mass [m]
+    kick_vx: Floats = field(default_factory=_ZERO)
+    """What the engine, other than gravity, changed of vx since the medium was last asked [m/s]: joints, motors and
+    contacts. It is 0 in the first step, and wherever no rollout precedes."""
+    kick_vy: Floats = field(default_factory=_ZERO)  # the same of vy [m/s]
+    kick_omega: Floats = field(default_factory=_ZERO)  # the same of omega [rad/s]
+    parent: npt.NDArray[Any] = field(default_factory=partial(np.full, (), -1))  # number of the parent; -1: none
+
+    def __post_init__(self) -> None:
+        for name in ("x", "kick_vx", "kick_vy", "kick_omega", "parent"):
+            if np.shape(getattr(self, name)) != np.shape(self.y):
+                object.__setattr__(self, name, np.broadcast_to(getattr(self, name), np.shape(self.y)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,6 +71,17 @@ class Medium(Protocol):
         ...
 
 
+class MediumWithMemory(Protocol):
+    """What makes media that remember, one for each rollout."""
+
+    def start(self, links: LinkStates, physics: Physics, depth: float) -> Medium:
+        """Return the medium of a rollout that begins with these links, over ground at a depth [m]; inf for throws.
+
+        It is asked once in every step. What it remembers of a design must not depend on the others.
+        """
+        ...
+
+
 class MediumError(ValueError):
     """A medium gave no velocity change; the message begins with its file and line."""
 
@@ -65,18 +95,83 @@ def change_in(medium: Medium, links: LinkStates, physics: Physics) -> VelocityCh
         shape = links.y.shape
         parts = (change.vx, change.vy, change.omega)
         return VelocityChange(*(part if np.shape(part) == shape else np.broadcast_to(part, shape) for part in parts))
+    except MediumError:
+        raise
     except Exception as error:
-        code = getattr(getattr(medium, "law", medium.velocity_change), "__code__", None)
-        place = f"{code.co_filename}:{code.co_firstlineno}" if code else type(medium).__name__
-        raise MediumError(located(error, type(medium).__module__, place)) from error
+        raise _failed(medium, getattr(medium, "law", getattr(medium, "velocity_change", None)), error) from error
+
+
+def _failed(medium: Any, method: Any, error: Exception) -> MediumError:
+    code = getattr(method, "__code__", None)
+    place = f"{code.co_filename}:{code.co_firstlineno}" if code else type(medium).__name__
+    return MediumError(located(error, type(medium).__module__, place))
+
+
+class MediumInRollout:
+    """A medium in one rollout: its memory, if it has one, and what the links' kicks are measured from."""
+
+    def __init__(self, medium: Medium | MediumWithMemory, depth: float) -> None:
+        """Prepare a rollout over ground at a depth [m]."""
+        self.medium, self._depth = medium, depth
+        self._unkicked: tuple[Floats, ...] | None = None  # velocities now, had only the medium and gravity acted
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        """Return the change of links without kicks, which it measures, over one step.
+
+        Raises:
+            MediumError: the medium gives no change or, in the first step, one that is NaN or not the same twice.
+        """
+        with np.errstate(invalid="ignore", over="ignore"):  # of rollouts that have diverged
+            if self._unkicked is None:
+                change = self._first(links, physics)
+            else:
+                vx, vy, omega = self._unkicked
+                kick_vx, kick_vy, kick_omega = links.vx - vx, links.vy - vy, links.omega - omega
+                kicked = replace(links, kick_vx=kick_vx, kick_vy=kick_vy, kick_omega=kick_omega)
+                change = change_in(self._started, kicked, physics)
+            fall = np.float32(physics.time_step) * np.float32(-physics.gravity)
+            vx, vy, omega = (
+                (velocity + changed).astype(velocity.dtype)
+                for velocity, changed in ((links.vx, change.vx), (links.vy, change.vy), (links.omega, change.omega))
+            )
+            self._unkicked = vx, vy + fall, omega
+        return change
+
+    def _first(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        self._started, twin = self._start(links, physics), self._start(links, physics)
+        change, again = change_in(self._started, links, physics), change_in(twin, links, physics)
+        moving = np.isfinite(links.y + links.vx + links.vy + links.omega)
+        said = ""
+        for name, part in vars(change).items():
+            if np.isnan(part[moving]).any():
+                said = f"{name}: expected numbers in the first step, got nan"
+            elif not np.array_equal(part, getattr(again, name), equal_nan=True):
+                said = f"{name}: expected the same change when asked twice; what a medium remembers is made by start"
+        if said:
+            raise _failed(twin, getattr(twin, "law", twin.velocity_change), ValueError(said))
+        return change
+
+    def _start(self, links: LinkStates, physics: Physics) -> Medium:
+        start = getattr(self.medium, "start", None)
+        if start is None:
+            return self.medium  # type: ignore[return-value]
+        try:
+            started: Medium = start(links, physics, self._depth)
+            if not hasattr(started, "velocity_change"):
+                raise TypeError(f"start: expected a medium with velocity_change, got {type(started).__name__}")
+            return started
+        except Exception as error:
+            raise _failed(self.medium, start, error) from error
 
 
 class Fluid(Parameters):
     """A medium given by a law, which the batch engine compiles into its kernels; its fields are its settings.
 
     The law is one text for arrays and for the engine's lanes: operators, ``abs``, the functions of ``tasks.simd.lanes``
-    such as ``select`` in place of a branch, and formulas such as ``submerged_part``.
+    such as ``select`` in place of a branch, and formulas such as ``submerged_part``. It can't read a link's parent.
     """
+
+    reads_kicks: ClassVar[bool] = False  # whether the law reads kicks, which the engine then measures
 
     @staticmethod
     @abstractmethod

@@ -60,6 +60,6 @@ def as_environment(given: Environment | Medium | str, depth: float | None = None
             raise ValueError(with_failures(f"environment: expected one of {known}, got {given!r}"))
         kind = ENVIRONMENTS[given]
         return kind.environment(depth, kind.for_study(kind.settings(), 1) if kind.settings else None)
-    if isinstance(given, type) or not hasattr(given, "velocity_change"):
+    if isinstance(given, type) or not (hasattr(given, "velocity_change") or hasattr(given, "start")):
         raise TypeError(f"environment: expected one, such as TrueSlush(depth=9.0), a medium or a name, got {given!r}")
     return ResidualSlush(depth, given) if hasattr(given, "n_members") else Pool(depth, given)  # type: ignore[arg-type]

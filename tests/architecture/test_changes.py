@@ -97,7 +97,7 @@ for ask in (lambda: study.simulate(study.champion("honey", depth=1.0, trial=0)),
 print(json.dumps([shown, study.settings.evolution.optimiser]))
 """
 
-HONEY, _, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS, MUJOCO = re.findall(
+HONEY, _, _, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS, MUJOCO = re.findall(
     r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S
 )
 ADDED = {

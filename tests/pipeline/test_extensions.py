@@ -12,7 +12,9 @@ import pytest
 from pipeline.extensions import VARIABLE
 
 ROOT = Path(__file__).parents[2]
-HONEY, FORM, *_ = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), flags=re.DOTALL)
+HONEY, SPRINGS, FORM, *_ = re.findall(
+    r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), flags=re.DOTALL
+)
 OBJECTIVE = """
 from tasks.evolution.objectives.evaluation import Objective, register_objective
 
@@ -25,6 +27,7 @@ def run(tmp_path):
     """Run Python in a folder with a medium and an objective outside the sources."""
     (tmp_path / "molasses.py").write_text(HONEY.replace('"honey"', '"molasses"'))
     (tmp_path / "aims.py").write_text(OBJECTIVE)
+    (tmp_path / "springs.py").write_text(SPRINGS)
 
     def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-P", *arguments]
@@ -46,6 +49,21 @@ def test_workers_throw_links_into_a_medium_of_a_file(run, tmp_path):
     (tmp_path / "aims.py").write_text(OBJECTIVE + "\nlimit = 1\n")
     again = run("-m", "pipeline", "status", "smoke", *given[:4], "--store", "store")
     assert "A different version of the code made items of collect" in again.stderr + again.stdout, digests
+
+
+def test_results_in_a_medium_with_memory_do_not_depend_on_the_number_of_workers(run, tmp_path):
+    """Nor on how throws are split; champions of dry land are transferred to it."""
+    small = ("evolution.n_generations=2", "transfer.n_generations=1", "grid.depths=[1]", "target=springs")
+    changes = [part for one in (*small, "grid.environments=[springs,dry_land]") for part in ("--set", one)]
+    found = []
+    for workers in ("0", "2"):
+        options = ("--preset", "smoke", "--with", "springs.py", "--workers", workers, "--store", workers, *changes)
+        chunk = ("--set", f"work.throws_per_chunk={5 + int(workers)}")
+        done = run("-m", "pipeline", "study", *options, *chunk, "--tracking-uri", "http://127.0.0.1:1")
+        assert done.returncode == 0, done.stderr
+        read = f"import puddle; print(puddle.open_study('smoke', {workers!r}).champions().to_pylist())"
+        found.append(run("-c", read).stdout)
+    assert found[0] == found[1] and "springs" in found[0]
 
 
 def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path):

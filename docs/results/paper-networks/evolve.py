@@ -86,7 +86,7 @@ class Exchange:
         """Never called: push replaces Groups.push."""
 
 
-Groups.push = lambda robots, medium: medium.push(robots.blocks)  # faster than velocity_change, which copies more often
+Groups.push = lambda robots, around: around.medium.push(robots.blocks)  # faster than velocity_change, which copies
 
 
 def shared(*shape, dtype=np.float32):

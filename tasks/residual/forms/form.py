@@ -14,7 +14,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Float64, Floats
 from tasks.discovery import register, with_failures
-from tasks.world.medium import LinkStates, Medium
+from tasks.world.medium import LinkStates, Medium, MediumWithMemory
 from tasks.world.physics import Physics
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def _nothing(links: LinkStates, change: Float32, weights: Float32, physics: Phys
     return np.empty(0), np.empty(0, np.float32)
 
 
-def _learns_any_medium(medium: Medium, physics: Physics) -> str:  # noqa: ARG001
+def _learns_any_medium(medium: Medium | MediumWithMemory, physics: Physics) -> str:  # noqa: ARG001
     return ""
 
 
@@ -91,7 +91,7 @@ class Form:
     mirror: Collection[str] = ()
     """The same of mirror images, from which networks learn unless the throws show that the fluid flows."""
 
-    objection: Callable[[Medium, Physics], str] = _learns_any_medium
+    objection: Callable[[Medium | MediumWithMemory, Physics], str] = _learns_any_medium
     """Why networks can't learn a medium, such as "acts above y = 0: expected plain"; "" if they can."""
     warning: Callable[[Transitions], str] = _learns_from_any_throws
     """What makes it doubtful that they learn from throws, in a line; "" if nothing does."""

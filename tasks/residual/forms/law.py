@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ _MOST_EVALUATIONS = 200
 _LEAST = 1e-6  # of a constant that is fitted by its logarithm
 _DIGITS = 6  # significant digits of a constant, so that it is the same wherever linear algebra rounds differently
 _N_OUTPUTS, _N_INPUTS = len(wetted.WETTED.outputs), len(wetted.WETTED.inputs)
-_STATE = tuple(field.name for field in fields(LinkStates))
+_STATE = ("length_scale", "mass", "inertia", "y", "cos", "sin", "vx", "vy", "omega")
 
 LAW: Callable[..., tuple[Any, Any, Any]] = Fluid.law  # of a form, which has its own
 
@@ -51,20 +51,27 @@ def _read_wetted(links: Any) -> tuple[Any, ...]:
     return (*wetted.read(links), *_read(links))
 
 
+@formula
+def _links(s: Any) -> Links:
+    return Links(s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], None, None, None, None)
+
+
 def _act(factors: Any, s: Any) -> Any:
-    return LAW(factors, Links(s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]))
+    return LAW(factors, _links(s))
 
 
 def _act_with_network(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
     x, y, angle = wetted.act(outputs, read)
     factors, s = from_row(outputs, _N_OUTPUTS), from_row(read, _N_INPUTS)
-    by_law = LAW(factors, Links(s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]))
+    by_law = LAW(factors, _links(s))
     return by_law[0] + x, by_law[1] + y, by_law[2] + angle
 
 
 def constants_of(fluid: Any) -> dict[str, tuple[float, float]]:
     """Return the bounds of a class of media's constants by name; there are none where its law is not all there is."""
     if getattr(fluid, "velocity_change", None) is not Fluid.velocity_change:  # or it changes velocities in another way
+        return {}
+    if fluid.reads_kicks:  # which are 0 in throws
         return {}
     numbers = {name: of for name, of in fluid.model_json_schema()["properties"].items() if of.get("type") == "number"}
     return {

@@ -26,7 +26,7 @@ from tasks.residual.current import current, is_current
 from tasks.residual.forms.form import Form, Targets, register_form
 from tasks.simd.lanes import sqrt
 from tasks.simulation.free_links import FreeLinks
-from tasks.world.medium import Medium
+from tasks.world.medium import Medium, MediumInRollout, MediumWithMemory
 from tasks.world.physics import Physics
 from tasks.world.slush import submerged_part
 
@@ -74,12 +74,12 @@ def _targets(inputs: Float32, change: Float32, weights: Float32, deviation: Floa
     return Targets(values, wet * weights * part * part, shares)
 
 
-def _acts_above_water(medium: Medium, physics: Physics) -> str:
+def _acts_above_water(medium: Medium | MediumWithMemory, physics: Physics) -> str:
     """Object to a medium that changes the motion of dry links."""
     links = FreeLinks(np.linspace(1.0, 3.0, 9), physics)
     dry = np.tile(np.array([0.0, 2.0, 0.0, 3.0, -2.0, 4.0], np.float32), (9, 1))
     dry[:, 2] = np.linspace(0.0, 6.0, 9)
-    acts = (links.step(dry, medium) != links.step(dry, None)).any()
+    acts = (links.step(dry, MediumInRollout(medium, np.inf)) != links.step(dry, None)).any()
     return "acts above y = 0, where such networks see nothing: expected plain" if acts else ""
 
 

@@ -29,7 +29,7 @@ from tasks.world.medium import MediumError
 
 # Of a kernel, which has its own.
 LAW: Callable[..., Any] = tuple
-ROWS = (0,) * 9
+ROWS = (0,) * 10
 
 
 class LinkCopies(NamedTuple):
@@ -70,7 +70,8 @@ def _read_link(link: Block, numbers: Block, n_in: int) -> None:  # noqa: ARG001 
         link[ROWS[7]],
         link[ROWS[8]],
     )
-    for k, value in enumerate(LAW(Links(length_scale, mass, inertia, y, cos, sin, vx, vy, omega))):
+    links = Links(length_scale, mass, inertia, y, cos, sin, vx, vy, omega, link[ROWS[9]], None, None, None)
+    for k, value in enumerate(LAW(links)):
         numbers[k] = value
 
 

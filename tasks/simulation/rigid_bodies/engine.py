@@ -17,7 +17,7 @@ from tasks.simulation.rigid_bodies import step
 from tasks.simulation.rigid_bodies.layout import ROBOT, Records
 from tasks.simulation.rigid_bodies.packing import body_index, pack
 from tasks.simulation.trees.layout import QUANTITIES
-from tasks.world.medium import LinkStates, Medium, change_in
+from tasks.world.medium import LinkStates, Medium, MediumWithMemory
 from tasks.world.physics import Physics
 
 _advance = compiled(step.advance_robots, seconds=12)
@@ -26,9 +26,10 @@ _advance = compiled(step.advance_robots, seconds=12)
 _LINKS, _FIRST_LINK = (ROBOT.fields["links"][0].base, ROBOT.fields["links"][1]) if ROBOT.fields else (ROBOT, 0)
 _ROWS = {name: (_FIRST_LINK + offset) // 4 for name, (_, offset, *_) in (_LINKS.fields or {}).items()}
 _OF_LINKS = Rows(
-    tuple(_ROWS[name] for name in QUANTITIES),
-    tuple(_ROWS[f"change_{name}"] for name in ("vx", "vy", "omega")),
-    _LINKS.itemsize // 4,
+    read=tuple(_ROWS[name] for name in QUANTITIES),
+    add=tuple(_ROWS[f"change_{name}"] for name in ("vx", "vy", "omega")),
+    unkicked=tuple(_ROWS[f"unkicked_{name}"] for name in ("vx", "vy", "omega")),
+    stride=_LINKS.itemsize // 4,
 )
 
 
@@ -55,14 +56,20 @@ class Robots:
     """Robots as records: robot number member · n_designs + design."""
 
     def __init__(
-        self, designs: Designs, depth: float, physics: Physics, medium: Medium | None, *, n_members: int
+        self,
+        designs: Designs,
+        depth: float,
+        physics: Physics,
+        medium: Medium | MediumWithMemory | None,
+        *,
+        n_members: int,
     ) -> None:
         """Spawn n_members robots of each of n_designs designs over ground at a depth [m].
 
         A medium with a law acts in every step; any other is up to the caller.
         """
         self._shape = (n_members, len(designs), N_LINKS)
-        self._physics = physics
+        self._physics, self._parent = physics, designs.parent
         self._rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
         trees = kinematic_trees(designs, density=physics.link_density)
         self.records = np.tile(pack(designs, trees, self._rigid, depth, physics), n_members)
@@ -110,8 +117,8 @@ class Robots:
     def push(self, medium: Medium) -> None:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""
         links = self.records["links"].reshape(self._shape)
-        states = LinkStates(**{name: np.ascontiguousarray(links[name]) for name in QUANTITIES})
-        change = change_in(medium, states, self._physics)
+        of_links = {name: np.ascontiguousarray(links[name]) for name in QUANTITIES}
+        change = medium.velocity_change(LinkStates(**of_links, parent=self._parent), self._physics)
         of_body = body_change(self._rigid, links["lever_x"], links["lever_y"], change)
         bodies = self.records["bodies"].reshape(*self._shape[:2], self.records["bodies"].shape[1])
         design, link = np.nonzero(self._rigid.is_first)

@@ -26,12 +26,13 @@ _OF_CORNERS = [_FLOAT] * 4  # a quantity of a box's corners or edges; edge i goe
 class LinkRecord:
     """A link: its state, what a medium reads, and its place in its body (local_…; see tasks.design.RigidBodies).
 
-    The lever is the link's centre less the body's centre of mass; change_… is the velocity change by the medium.
+    The lever is the link's centre less the body's centre of mass; change_… is the velocity change by the medium,
+    unkicked_… the velocity now, had only a fluid that reads kicks and gravity acted.
     """
 
     x, y, angle, vx, vy, omega, cos, sin = [_FLOAT] * 8
     length_scale, mass, inertia = [_FLOAT] * 3
-    change_vx, change_vy, change_omega = [_FLOAT] * 3
+    change_vx, change_vy, change_omega, unkicked_vx, unkicked_vy, unkicked_omega = [_FLOAT] * 6
     lever_x, lever_y = [_FLOAT] * 2
     body = 0
     local_x, local_y, local_angle, local_cos, local_sin, local_lever_x, local_lever_y = [_FLOAT] * 7

@@ -14,12 +14,17 @@ from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.trees import layout, packing, step
-from tasks.world.medium import LinkStates, Medium, change_in
+from tasks.world.medium import LinkStates, Medium, MediumWithMemory
 from tasks.world.physics import Physics
 
 advance_kernel = compiled(step.advance, seconds=12)
 
-_ROWS = Rows(tuple(layout.QUANTITIES.values()), (layout.VX, layout.VY, layout.OMEGA), 1)
+_ROWS = Rows(
+    read=tuple(layout.QUANTITIES.values()),
+    add=(layout.VX, layout.VY, layout.OMEGA),
+    unkicked=(layout.UNKICKED_VX, layout.UNKICKED_VY, layout.UNKICKED_OMEGA),
+    stride=1,
+)
 
 
 def _advance_with_networks(
@@ -50,7 +55,13 @@ class Groups:
     """Robots packed into lanes: robot i is lane i mod n_lanes of group i // n_lanes."""
 
     def __init__(
-        self, designs: Designs, physics: Physics, medium: Medium | None, *, n_members: int, n_lanes: int
+        self,
+        designs: Designs,
+        physics: Physics,
+        medium: Medium | MediumWithMemory | None,
+        *,
+        n_members: int,
+        n_lanes: int,
     ) -> None:
         """Spawn n_members robots of each of n_designs designs: robot number member · n_designs + design.
 
@@ -58,7 +69,7 @@ class Groups:
         """
         self.n_robots = n_members * len(designs)
         self._n_members = n_members
-        self._physics = physics
+        self._physics, self._parent = physics, designs.parent
         self.n_lanes = n_lanes
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
@@ -74,14 +85,15 @@ class Groups:
         return np.minimum(np.arange(self.n_groups * self.n_lanes), self.n_robots - 1)
 
     def _states(self, *rows: int) -> Float32:
-        """Read (n_quantities, n_robots, n_links) quantities by their first rows, links in the engine's order."""
+        """Read (n_quantities, n_robots, n_links) quantities by their first rows, links in the designs' order."""
         taken = np.stack([self.blocks[:, row : row + N_LINKS] for row in rows])
-        return taken.transpose(0, 1, 3, 2).reshape(len(rows), -1, N_LINKS)[:, : self.n_robots]
+        numbered = taken.transpose(0, 1, 3, 2).reshape(len(rows), -1, N_LINKS)[:, : self.n_robots]
+        return np.take_along_axis(numbered, self._number_of_link()[None], axis=2)
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states, links in the designs' order; NaN where diverged."""
         states = self._states(layout.X, layout.Y, layout.ANGLE, layout.VX, layout.VY, layout.OMEGA)
-        state = np.take_along_axis(np.moveaxis(states, 0, -1), self._number_of_link()[..., None], axis=1)
+        state = np.ascontiguousarray(np.moveaxis(states, 0, -1))
         state[np.isnan(self.blocks[:, layout.DIVERGENCE].reshape(-1)[: self.n_robots])] = np.nan
         return state
 
@@ -122,10 +134,12 @@ class Groups:
         """Add a medium's velocity change to every link, as the reference engine does."""
         states = self._states(*layout.QUANTITIES.values())
         states = states.reshape(len(layout.QUANTITIES), self._n_members, -1, N_LINKS)
-        links = LinkStates(**dict(zip(layout.QUANTITIES, states, strict=True)))
-        change = change_in(medium, links, self._physics)
+        links = LinkStates(**dict(zip(layout.QUANTITIES, states, strict=True)), parent=self._parent)
+        change = medium.velocity_change(links, self._physics)
         velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
+        link_of_number = np.argsort(self._number_of_link(), axis=1)
         for row, velocity in zip((layout.VX, layout.VY, layout.OMEGA), velocities, strict=True):
-            of_lane = velocity.astype(np.float32).reshape(self.n_robots, N_LINKS)[self._robot_of_lane]
+            of_robot = velocity.astype(np.float32).reshape(self.n_robots, N_LINKS)
+            of_lane = np.take_along_axis(of_robot, link_of_number, axis=1)[self._robot_of_lane]
             by_group = of_lane.reshape(self.n_groups, self.n_lanes, N_LINKS).transpose(0, 2, 1)
             self.blocks[:, row : row + N_LINKS] = by_group

@@ -48,7 +48,9 @@ _BLOCK = BIAS + 2 * N_LINKS
 K_11, K_12, K_22, K_INVERSE_DETERMINANT = range(_BLOCK, _BLOCK + 4 * N_LINKS, N_LINKS)
 # Work of a joint's motor since it began to be counted [J]; a step does not touch it otherwise.
 MOTOR_WORK = K_INVERSE_DETERMINANT + N_LINKS
-N_ROWS = MOTOR_WORK + N_JOINTS
+# Velocities now, had only the fluid and gravity acted since it was asked; of fluids that read kicks.
+UNKICKED_VX, UNKICKED_VY, UNKICKED_OMEGA = range(MOTOR_WORK + N_JOINTS, MOTOR_WORK + N_JOINTS + 3 * N_LINKS, N_LINKS)
+N_ROWS = UNKICKED_OMEGA + N_LINKS
 
 QUANTITIES = {
     "length_scale": LONG_AXIS,
@@ -60,5 +62,6 @@ QUANTITIES = {
     "vx": VX,
     "vy": VY,
     "omega": OMEGA,
+    "x": X,
 }
-"""First row of each quantity of :class:`tasks.world.LinkStates`."""
+"""First row of each quantity of :class:`tasks.world.LinkStates` but the kicks and the parents."""

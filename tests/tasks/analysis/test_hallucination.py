@@ -42,8 +42,8 @@ def test_states_of_a_trace_are_those_that_the_engine_shows_a_medium():
     disagreement_along(designs, trace[0], analysis, PHYSICS)
     (links,) = analysis.asked
     assert links.y.shape == (1, 2, 30, 6)
-    for name in vars(links):
-        seen = np.stack([getattr(state, name)[0] for state in engine.asked[1:]], axis=1)
+    for name in set(vars(links)) - {"parent", "kick_vx", "kick_vy", "kick_omega"}:
+        seen = np.stack([getattr(state, name)[0] for state in engine.asked[2:]], axis=1)  # it is asked twice in step 1
         assert getattr(links, name)[0, :, :-1] == pytest.approx(seen, abs=2e-6), name  # Box2D has its own cosine
 
 

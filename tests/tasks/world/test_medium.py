@@ -29,7 +29,7 @@ EXPECTED = "TypeError: velocity_change: expected a VelocityChange, got"
     [
         (lambda links: (links.vx, links.vy), f"{EXPECTED} tuple"),
         (lambda links: 0.0, f"{EXPECTED} float"),
-        (lambda links: VelocityChange(links.x, 0, 0), "AttributeError: 'LinkStates' object has no attribute 'x'"),
+        (lambda links: VelocityChange(links.z, 0, 0), "AttributeError: 'LinkStates' object has no attribute 'z'"),
         (lambda links: VelocityChange(np.zeros(5), 0, 0), r"ValueError: .* requested shape \(1,2,6\)"),
     ],
     ids=["tuple", "number", "attribute", "shape"],

@@ -29,7 +29,7 @@ def links(n=500, seed=0, **fixed):
     y, vx, vy, omega = rng.normal(size=(4, n))
     a = rng.uniform(1, 3, n)
     arrays = (a, np.ones(n), (a**2 + a**-2) / 12, y, np.cos(angle), np.sin(angle), vx, vy, omega)
-    named = dict(zip((field.name for field in fields(LinkStates)), arrays, strict=True)) | fixed
+    named = dict(zip((field.name for field in fields(LinkStates)), arrays, strict=False)) | fixed
     return LinkStates(**{name: np.broadcast_to(array, n).astype(np.float32) for name, array in named.items()})
 
 
