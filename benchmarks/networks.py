@@ -153,10 +153,9 @@ def training() -> list[Benchmark]:
         inputs, values = rng.normal(size=(2, 90_000, 6)).astype(np.float32)
         targets = Targets(values, values[:, :0], values[:, :0])
         weights = initial_weights(architecture.sizes, rng)
-        ours, theirs = (
-            engine(weights, inputs, targets, architecture.dropout, settings, np.random.default_rng(4))
-            for engine in (Descent, TorchDescent)
-        )
+        rng = np.random.default_rng(4)
+        ours = Descent(weights, inputs, targets, architecture.dropout, settings, rng)
+        theirs = TorchDescent([weights], [(inputs, targets)], architecture.dropout, settings, [rng])
         n = max(1, 400_000 // (batch_size * width))
         ours.advance(1)
         theirs.advance(1)

@@ -21,6 +21,7 @@ from pipeline.stages.collect import COLLECT
 from pipeline.stages.reader import read_study
 from pipeline.stages.report import PAGE
 from pipeline.stages.tracked import check_tracks
+from pipeline.stages.train import TRAIN
 from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
 from pipeline.workflow.graph import ChainProgress, discard_items, require, results_of, survey
@@ -74,6 +75,8 @@ def _run_stages(
         to_stderr(f"left out: {failure}")
     environments.check_media(settings)
     _check_inputs(options, settings, wanted[0])
+    if TRAIN in wanted and execution.address is None:
+        _check_device(settings, options.find_store())
     store = options.open_store(create=True)
     if recompute:
         _discard(settings, recompute, store)
@@ -138,6 +141,22 @@ def _discard(settings: Settings, names: Collection[str], store: Store) -> None:
         f"{n_items:,} items of {', '.join(names)} are discarded and will be made anew. If this run stops, continue "
         f"without --recompute."
     )
+
+
+def _check_device(settings: Settings, store: Store | None) -> None:
+    """Refuse networks that are to be trained on a GPU that is not here, before the throws are made."""
+    on_gpu = [learner.training for learner in settings.ensembles.values() if learner.training.device == "cuda"]
+    if not on_gpu:
+        return
+    until = STAGES[: 1 + STAGES.index(TRAIN)]
+    if store is not None and not survey(settings, until, store).upstream[TRAIN.name].unfinished:
+        return
+    from tasks.residual.torch_descent import NoDevice, require_device  # imports torch
+
+    try:
+        require_device(on_gpu[0])
+    except NoDevice as error:
+        raise PuddleError(f"{error}. Networks of a core are others: training.device=cpu") from None
 
 
 def _check_inputs(options: StudyOptions, settings: Settings, first: AnyStage) -> None:

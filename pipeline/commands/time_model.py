@@ -2,6 +2,7 @@
 
 An item of work takes the median time of those that the store has of its kind, by its units. Where the store has none,
 the constants below decide. They are of one core of an AMD EPYC (docs/performance.md), and right within a factor of two.
+What runs on a GPU has none: its time is not counted before the store has some of it.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from tasks.design import N_LINKS
 from tasks.residual import Architecture, Training
 from tasks.world import EnvironmentName
 
+_UNKNOWN = "nothing: not measured on a GPU"
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
 _SECONDS_PER_STEP = {"batch": 0.2e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
 _SECONDS_PER_MEMBER_STEP = 0.35e-6  # of one robot under one network, besides the network's arithmetic
 _FLOPS_OF_INFERENCE = 190e9  # per second
-_FLOPS_OF_TRAINING = {"cpu": 70e9, "cuda": 30e12}  # per second
+_FLOPS_OF_TRAINING = 70e9  # per second
 _PASSES_OF_TRAINING = 3  # forward, and twice as much backward
 _SECONDS_PER_ITERATION = 0.15e-3  # of training, besides arithmetic
 _SECONDS_PER_THROW_STEP = 0.1e-6
@@ -56,6 +58,7 @@ class _Kind(NamedTuple):
     stage: str
     specification: str
     environment: str
+    one_gpu: bool
 
 
 class _Cost(NamedTuple):
@@ -72,10 +75,10 @@ class StageForecast:
     stage: str
     unit: str
     n_units: float
-    core_seconds: float  # of GPUs, where these train
+    core_seconds: float  # of GPUs, where these compute
     longest_chain_seconds: float  # no number of cores gets below this
     n_bytes: float
-    source: str  # "store", "table", or both
+    source: str  # "store", "table", "nothing: not measured on a GPU", or several
 
     def seconds(self, n_cores: float) -> float:
         """Return the time that the stage takes on a number of cores [s]."""
@@ -97,7 +100,7 @@ def forecast_stages(settings: Settings, store: Store | None = None) -> list[Stag
 
 
 def _kind(stage: AnyStage, chain: Chain[Any]) -> _Kind:
-    return _Kind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""))
+    return _Kind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""), chain.one_gpu)
 
 
 def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Mapping[_Kind, _Cost]) -> StageForecast:
@@ -109,12 +112,16 @@ def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Ma
         if not units:
             continue
         measured = costs.get(_kind(stage, chain))
-        sources.add("store" if measured else "table")
+        unknown = measured is None and chain.one_gpu
+        sources.add("store" if measured else _UNKNOWN if unknown else "table")
         size = sum(units) * chain.weight
-        seconds = size * measured.seconds if measured else _expected(stage, settings, chain, units)
+        seconds = size * measured.seconds if measured else 0 if unknown else _expected(stage, settings, chain, units)
         n_bytes += size * measured.n_bytes if measured else _expected_bytes(stage, settings, chain, units)
         n_units, total = n_units + sum(units), total + seconds
-        longest = max(longest, seconds / _workers_per_generation(settings, chain))
+        if chain.one_gpu:  # they follow one another
+            longest += seconds
+        else:
+            longest = max(longest, seconds / _workers_per_generation(settings, chain))
     return StageForecast(stage.name, stage.unit, n_units, total, longest, n_bytes, " and ".join(sorted(sources)))
 
 
@@ -194,8 +201,7 @@ _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
         (getattr(chain.spec, "throws", settings.throws).n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
     ),
     "train": lambda settings, chain: (
-        _SECONDS_PER_ITERATION
-        + _flops_of_iteration(chain.spec.network, chain.spec.training) / _FLOPS_OF_TRAINING[chain.spec.training.device]
+        _SECONDS_PER_ITERATION + _flops_of_iteration(chain.spec.network, chain.spec.training) / _FLOPS_OF_TRAINING
     ),
     "evolve": lambda settings, chain: _generation(settings, chain.spec.environment),
     "adapt": lambda settings, chain: _generation(settings, chain.spec.environment),

@@ -1,6 +1,7 @@
-"""train: the residual networks, one at a time. Paper, "Neural Network Training"."""
+"""train: the residual networks, each on a core or all of a data set on a GPU. Paper, "Neural Network Training"."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
@@ -23,6 +24,7 @@ from tasks.residual import Architecture, ErrorRow, MeasuredTransitions, Training
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.error_report import WHOLE_THROWS, whole_throws
 from tasks.residual.forms import form_here
+from tasks.residual.throws import Transitions
 from tasks.seeding import replicate_seed
 from tasks.world import Physics
 
@@ -53,14 +55,19 @@ class MemberSpec:
 
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
-    """Train each network by itself."""
+    """Give each network a chain; on a GPU, those of a data set form a batch."""
     chains, ensembles = [], settings.ensembles
-    for network in network_ids(settings):
+    networks = network_ids(settings)
+    n_networks = Counter(network.data_set for network in networks)
+    for network in networks:
         learner = ensembles[network.data_set.learner]
         seed = replicate_seed(settings.seed, network.data_set.replicate)
         spec = MemberSpec(network.index, seed, learner.network, learner.training, settings.physics)
         weight = _cost(learner.network, learner.training) / _cost(settings.network, settings.training)
-        chains.append(Chain(network, (spec.training.n_iterations,), spec, weight))
+        on_gpu = spec.training.device == "cuda"
+        batch_size = n_networks[network.data_set] if on_gpu else 1
+        units = (spec.training.n_iterations,)
+        chains.append(Chain(network, units, spec, weight, network.data_set, batch_size, one_gpu=on_gpu))
     return chains
 
 
@@ -80,20 +87,26 @@ def _item(
 
 
 def _compute(item: Item[MemberSpec], inputs: Inputs) -> Files:
-    from tasks.residual.training import train_member
+    return _compute_batch([item], [inputs])[0]
 
-    spec, transitions = item.spec, read_transitions(throws_among(inputs))
+
+def _compute_batch(items: Sequence[Item[MemberSpec]], inputs: Sequence[Inputs]) -> list[Files]:
+    """Train networks of one data set, which differ in their numbers alone."""
+    from tasks.residual.training import train_members
+
+    spec, members = items[0].spec, [item.spec.member for item in items]
+    of_each = [read_transitions(throws_among(own)) for own in inputs]
     choices = spec.network, spec.training
-    trained = train_member(transitions, *choices, seed=spec.seed, member=spec.member, physics=spec.physics)
+    networks = train_members(of_each, *choices, seed=spec.seed, members=members, physics=spec.physics)
+    return [_files(trained, transitions, spec.physics) for trained, transitions in zip(networks, of_each, strict=True)]
+
+
+def _files(trained: "TrainedMember", transitions: Transitions, physics: Physics) -> Files:
+    """Encode a network, its learning curve and its errors."""
     if isinstance(transitions, MeasuredTransitions):
         medium = Ensemble.from_members([trained.arrays()])
-        of_throws = whole_throws(medium, transitions[transitions.held_out], spec.physics)
+        of_throws = whole_throws(medium, transitions[transitions.held_out], physics)
         trained = replace(trained, validation=(*trained.validation, of_throws))
-    return member_files(trained)
-
-
-def member_files(trained: "TrainedMember") -> Files:
-    """Encode a network, its learning curve and its errors."""
     iteration, training_loss, validation_loss = trained.learning_curve.T
     learning = {
         "iteration": iteration.astype(np.int64),
@@ -166,6 +179,7 @@ TRAIN = Stage(
     plan=_plan,
     item=_item,
     compute=_compute,
+    compute_batch=_compute_batch,
     summarise=_summarise,
     curves=_curves,
     summarise_trial=_summarise_member,

@@ -126,9 +126,11 @@ class Dispatcher:
 
 
 def _take_batch(ready: list[ChainProgress], most_others: int) -> list[ChainProgress]:
-    """Take the first chain off a list, and up to ``most_others`` others that batch with it."""
+    """Take the first chain off a list, and others that batch with it: up to ``most_others``, where they take cores."""
     first = ready.pop(0)
-    n_others = max(0, min(first.chain.batch_size - 1, most_others))
+    n_others = first.chain.batch_size - 1
+    if not first.chain.one_gpu:
+        n_others = max(0, min(n_others, most_others))
     others = [progress for progress in ready if first.batches_with(progress)][:n_others]
     for progress in others:
         ready.remove(progress)

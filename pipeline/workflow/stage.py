@@ -8,7 +8,7 @@ A stage's work is a set of independent *chains*. A chain is a sequence of items,
 trial. An :class:`Item` is done if and only if the store holds its key, the SHA-256 of its identity.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.track_file import content_of
-from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId
+from pipeline.workflow.identity import ChainId, InputName, TrialId
 from tasks.simulation.rollout import Engine
 
 ChainSpecT = TypeVar("ChainSpecT")
@@ -86,8 +86,9 @@ class Chain(Generic[ChainSpecT]):
     units: tuple[float, ...]  # size of each item, in the stage's unit
     spec: ChainSpecT  # what all its items have in common: each item's specification is this one, or has it as a field
     weight: float = 1.0  # cost of a unit relative to the stage's other chains, for the order of work and the time left
-    batch_key: Arm | None = None  # chains with the same key, equally far and equally long, may form a batch
+    batch_key: Hashable = None  # chains with the same key, equally far and equally long, may form a batch
     batch_size: int = 1  # chains that make the fastest batch
+    one_gpu: bool = False  # whether that batch is the work of one GPU, rather than of one core of several
 
     @property
     def label(self) -> str:

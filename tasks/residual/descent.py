@@ -3,7 +3,7 @@
 torch takes three times as long for 2 × 48 units, also where it trains four networks in one batch.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.random import Generator
@@ -34,7 +34,7 @@ def step_factors(training: Training, first: int, n: int) -> Float32:
 
 
 class Descent:
-    """A network that is trained on a core: the compiled counterpart of :class:`TorchDescent`, with its interface."""
+    """A network that is trained on a core: the compiled counterpart of :class:`TorchDescent`, for one network."""
 
     def __init__(
         self, weights: Weights, inputs: Float32, targets: Targets, dropout: float, training: Training, rng: Generator
@@ -65,7 +65,7 @@ class Descent:
             memory.parameters[first_bias : first_bias + len(bias)] = bias
 
     def advance(self, n_iterations: int) -> Float64:
-        """Take iterations and return the (n_iterations,) mean loss of each minibatch."""
+        """Take iterations and return the (1, n_iterations) mean loss of each minibatch."""
         batch_size, width = self._training.batch_size, self._shapes[0][1]
         n_units = batch_size * (len(self._shapes) - 1) * width
         at_once = max(1, _MAX_DRAWS // n_units)
@@ -93,9 +93,9 @@ class Descent:
                 losses[first : first + n],
             )
             self._n_done += n
-        return losses
+        return losses[None]
 
-    def weights(self) -> dict[str, Float32]:
+    def weights(self) -> list[dict[str, Float32]]:
         """Return copies of weight_i and bias_i of each layer i."""
         weights = {}
         for i, (first_weight, first_bias, n_in, n_out) in enumerate(self._layers):
@@ -103,15 +103,14 @@ class Descent:
             rows, columns = self._shapes[i]
             weights[f"weight_{i}"] = from_panels(panels, n_in, n_out)[0, :rows, :columns].copy()
             weights[f"bias_{i}"] = self._memory.parameters[first_bias : first_bias + columns].copy()
-        return weights
+        return [weights]
 
-    def predict(self, inputs: Float32) -> Float32:
-        """Map (n_rows, n_inputs) standardised observations to (n_rows, n_outputs) outputs, without dropout."""
-        weights = self.weights()
+    def predict(self, inputs: Sequence[Float32]) -> list[Float32]:
+        """Map its (n_rows, n_inputs) standardised observations to (n_rows, n_outputs) outputs, without dropout."""
+        (weights,), (rows,) = self.weights(), inputs
         layers = range(len(self._shapes))
         matrices, biases = ([weights[f"{kind}_{i}"][None] for i in layers] for kind in ("weight", "bias"))
-        predicted: Float32 = PackedNetworks(matrices, biases).forward(inputs[None])[0]
-        return predicted
+        return [PackedNetworks(matrices, biases).forward(rows[None])[0]]
 
 
 def _drops(rng: Generator, dropout: float, n_iterations: int, n_units: int) -> tuple[Int64, Int64]:

@@ -93,14 +93,22 @@ class Training(Parameters):
     """Share of the throws held out for validation; whole throws, because the steps of one resemble each other. 0 trains
     on every throw [P] and measures errors on the same throws. Of tracked throws it is always a quarter."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Device for training: one core or one GPU for each member. Results differ in the last bits, so the device is a
-    setting and not detected: a settings file must describe the same study on every machine."""
+    """Device for training: one core for each member, or one GPU for all members of a data set. Results differ in the
+    last bits, so the device is a setting and not detected: a settings file must describe the same study on every
+    machine."""
+    products: Literal["float32", "tf32", "half"] = Field(default="float32", exclude_if=lambda value: value == "float32")
+    """Precision to which a GPU rounds the factors of matrix products, whose sums are in float32: "tf32" and "half" have
+    11 bits in place of 24, and "half" moves half the memory. On a core it is float32."""
 
     @model_validator(mode="after")
-    def _decays(self) -> Self:
+    def _agrees(self) -> Self:
         if self.min_learning_rate > self.learning_rate:
             raise ValueError(
                 f"min_learning_rate is {self.min_learning_rate}, expected at most learning_rate, {self.learning_rate}"
+            )
+        if self.device == "cpu" and self.products != "float32":
+            raise ValueError(
+                f"products is {self.products} and device is cpu: expected device cuda, or products float32"
             )
         return self
 

@@ -26,7 +26,8 @@ slows a bar down, no rollout, however long, grows beyond all bounds. Half a turn
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any, cast
@@ -34,9 +35,11 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.adamw import adamw
 
 from tasks.arrays import Bools, Float64
-from tasks.residual.torch_descent import deterministic, weight_updates
+from tasks.residual.descent_kernel import BETA_1, BETA_2, EPSILON
+from tasks.residual.torch_descent import one_thread
 from tasks.residual.training import TrainingDiverged
 from tasks.world import LinkStates, Physics, VelocityChange
 from tasks.world.slush import submerged_part
@@ -212,14 +215,58 @@ def _at(path: Tensor, steps: Tensor) -> Tensor:
     return earlier + (steps - before)[:, :, None] * (later - earlier)
 
 
+def _weight_updates(parameters: Sequence[Tensor], weight_decay: float) -> Callable[[float], None]:
+    """Return the update of AdamW, which takes a learning rate and changes parameters in place by their gradients.
+
+    It is the function behind torch.optim.AdamW. The class would import torch's compiler, which takes each process that
+    trains 2 to 6 s.
+    """
+    mean, mean_square = ([torch.zeros_like(parameter) for parameter in parameters] for _ in range(2))
+    n_updates = [torch.zeros((), device=parameter.device) for parameter in parameters]
+
+    @torch.no_grad()
+    def update(rate: float) -> None:
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        adamw(
+            list(parameters),
+            gradients,
+            mean,
+            mean_square,
+            [],
+            n_updates,
+            fused=True,
+            amsgrad=False,
+            beta1=BETA_1,
+            beta2=BETA_2,
+            lr=rate,
+            weight_decay=weight_decay,
+            eps=EPSILON,
+            maximize=False,
+        )
+
+    return update
+
+
+@contextmanager
+def _deterministic() -> Iterator[None]:
+    """Restrict torch to one thread and deterministic algorithms; restore its state afterwards."""
+    mode = torch.get_deterministic_debug_mode()
+    try:
+        torch.set_deterministic_debug_mode("error")  # use_deterministic_algorithms would import torch's compiler
+        with one_thread():
+            yield
+    finally:
+        torch.set_deterministic_debug_mode(mode)
+
+
 def fit_medium(paths: SeenPaths, physics: Physics, *, n_iterations: int = 200) -> MediumModel:
     """Fit a model of the medium to the frames of throws, on one CPU thread; a second run gives the same."""
-    with torch.random.fork_rng(devices=[]), deterministic(torch.device("cpu")):
+    with torch.random.fork_rng(devices=[]), _deterministic():
         torch.manual_seed(_SEED)
         model = MediumModel(physics)
         windows = _Windows(paths, _parts(paths), physics.time_step)
         parameters = list(model.parameters())
-        update = weight_updates(parameters, weight_decay=0.01)
+        update = _weight_updates(parameters, weight_decay=0.01)
         Q = windows.estimate_starts(model, physics.gravity, n_sweeps=5)
         for iteration in range(n_iterations):
             if iteration and iteration % _RELINEARISE == 0:
@@ -267,7 +314,7 @@ def persistence(model: MediumModel, paths: SeenPaths, physics: Physics) -> float
     parts = [(throw, first + k, n) for throw, first, number in sections if number > n + 1 for k in range(number - n)]
     if not parts:
         return math.nan
-    with deterministic(torch.device("cpu")):
+    with _deterministic():
         windows = _Windows(paths, parts, dt)
         windows.estimate_starts(model, physics.gravity, n_sweeps=8)
         at = windows.throw, windows.first + n
@@ -296,7 +343,7 @@ def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physic
         TrainingDiverged: a state is not finite.
     """
     sections, dt = _sections(paths), physics.time_step
-    with deterministic(torch.device("cpu")):
+    with _deterministic():
         windows = _Windows(paths, sections, dt)
         windows.estimate_starts(model, physics.gravity, n_sweeps=15)
         since = paths.time[windows.throw, windows.first][:, None]

@@ -1,7 +1,8 @@
-"""The descent of descent.py by torch: for CUDA devices, and on a CPU for comparison with the compiled kernel."""
+"""The descent of descent.py by torch, of many networks at once: on CUDA devices, and on a CPU without the compiler."""
 
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -9,151 +10,250 @@ import numpy as np
 import torch
 from numpy.random import Generator
 from torch import Tensor
-from torch.optim.adamw import adamw
 
 from tasks.arrays import Float32, Float64
+from tasks.residual.descent import Weights, step_factors
 from tasks.residual.descent_kernel import BETA_1, BETA_2, EPSILON
 from tasks.residual.forms import Targets
-from tasks.residual.hyperparameters import Training, learning_rate
+from tasks.residual.hyperparameters import Training
+
+_N_EAGER = 3  # iterations before one is recorded as a CUDA graph: libraries set themselves up in the first
+_LARGEST = 256.0  # scaled gradient at the outputs: within float16, with room for those of hidden units
+
+
+class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
+    """torch finds no CUDA device."""
+
+
+class OutOfDeviceMemory(RuntimeError):  # noqa: N818
+    """The device has too little memory for a minibatch."""
 
 
 class TorchDescent:
-    """A network that is trained by torch, with the interface of :class:`tasks.residual.descent.Descent`.
+    """Networks of one shape that are trained at once, with the interface of :class:`tasks.residual.descent.Descent`.
 
-    The random numbers are others, so the networks are, too. The data stay on the device.
+    Each draws its own minibatches and dropped units, so it is trained as it would be alone, but for the last bits of
+    matrix products. The random numbers are not those of the compiled descent, so the networks are others, too. The data
+    stay on the device, which the processor waits for only at the end of :meth:`advance`.
+
+    A minibatch that is larger than the data set repeats rows. Each row is computed once, and weighs as often as it was
+    drawn: the same gradient, but for dropout, which its repetitions share.
     """
 
     def __init__(
         self,
-        weights: Mapping[str, Float32],
-        inputs: Float32,
-        targets: Targets,
+        weights: Sequence[Weights],
+        examples: Sequence[tuple[Float32, Targets]],
         dropout: float,
         training: Training,
-        rng: Generator,
+        rngs: Sequence[Generator],
     ) -> None:
-        """Begin at a network's weights; see :class:`tasks.residual.descent.Descent`."""
-        self._training, self._dropout = training, dropout
-        self._device = torch.device(training.device)
-        self._widths = [columns.shape[1] for columns in (inputs, *targets)]
-        self._rows = torch.from_numpy(np.concatenate((inputs, *targets), axis=1)).to(self._device)
-        self._parameters = {
-            name: torch.tensor(array, device=self._device, requires_grad=True) for name, array in weights.items()
-        }
-        self._random = torch.Generator(self._device)
-        self._random.manual_seed(int(rng.integers(2**63)))
-        self._update = weight_updates(list(self._parameters.values()), training.weight_decay)
+        """Begin at networks' weights; what each has is as in :class:`tasks.residual.descent.Descent`."""
+        self._training, self._device = training, torch.device(training.device)
+        if self._device.type == "cuda":
+            os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # so that a second run gives the same
+        self._half = torch.float16 if training.products == "half" else torch.float32
+        self._keep = 1 / (1 - dropout)
+        tables = [np.concatenate((inputs, *targets), axis=1) for inputs, targets in examples]
+        self._widths = [columns.shape[1] for columns in (examples[0][0], *examples[0][1])]
+        self._n_rows = [len(table) for table in tables]
+        rows = np.zeros((len(tables), max(self._n_rows), sum(self._widths)), np.float32)
+        for member, table in enumerate(tables):
+            rows[member, : len(table)] = table
+        self._rows = torch.from_numpy(rows).to(self._device)
+        self._counted = training.batch_size > max(self._n_rows)
+
+        stacked = {name: np.stack([network[name] for network in weights]) for name in weights[0]}
+        numbers = np.concatenate([array.reshape(-1) for array in stacked.values()])
+        self._numbers = torch.from_numpy(numbers).to(self._device)
+        self._gradient, self._mean, self._mean_square = (torch.zeros_like(self._numbers) for _ in range(3))
+        self._parameters, self._gradients = (
+            {
+                name: part.view(array.shape)
+                for part, (name, array) in zip(
+                    torch.split(flat, [array.size for array in stacked.values()]), stacked.items(), strict=True
+                )
+            }
+            for flat in (self._numbers, self._gradient)
+        )
+        self._n_layers = len(stacked) // 2
+
+        self._random = [torch.Generator(self._device).manual_seed(int(rng.integers(2**63))) for rng in rngs]
+        width = stacked["bias_0"].shape[1]
+        most = rows.shape[1] if self._counted else training.batch_size
+        n_units = [width * (n if self._counted else most) for n in self._n_rows]
+        # Drawn with replacement, as many as leave a unit with probability 1 - p. A network with fewer rows drops fewer
+        # units; the others of its list are units of a row of padding.
+        self._n_dropped = [round(-n * math.log1p(-dropout)) for n in n_units]
+        self._n_units = n_units
+        shape = len(tables), self._n_layers - 1, max(self._n_dropped)
+        self._dropped = torch.full(shape, width * most - 1, device=self._device)
+        self._drawn = torch.zeros(len(tables), training.batch_size, dtype=torch.int64, device=self._device)
+        self._factors, self._losses = torch.zeros(3, device=self._device), torch.zeros(len(tables), device=self._device)
         self._n_done = 0
+        self._graph: Any = None
 
     def advance(self, n_iterations: int) -> Float64:
-        """Take iterations and return the (n_iterations,) mean loss of each minibatch."""
-        n_rows, batch_size = len(self._rows), self._training.batch_size
-        losses = np.empty(n_iterations)
-        with deterministic(self._device):
-            for i in range(n_iterations):
-                drawn = torch.randint(n_rows, (batch_size,), device=self._device, generator=self._random)
-                losses[i] = self.step(self._rows.index_select(0, drawn))
-        return losses
+        """Take iterations and return the (n_networks, n_iterations) mean loss of each minibatch.
 
-    def step(self, batch: Tensor) -> float:
-        """Take one iteration on the given (n_rows, n_columns) rows; return their mean loss."""
-        columns: Any = torch.split(batch, self._widths, dim=1)
-        predicted = self._forward(columns[0], self._dropout)
-        loss: Tensor = mean_loss(self._training, predicted, Targets(*columns[1:]))
-        for parameter in self._parameters.values():
-            parameter.grad = None
-        loss.backward()  # type: ignore[no-untyped-call]
-        self._update(learning_rate(self._training, self._n_done))
+        Raises:
+            OutOfDeviceMemory: the message has the largest minibatch.
+        """
+        losses = torch.empty(n_iterations, len(self._n_rows), device=self._device)
+        factors = torch.from_numpy(step_factors(self._training, self._n_done, n_iterations)).to(self._device)
+        try:
+            with one_thread(), _products(self._training.products):
+                for i in range(n_iterations):
+                    self._draw()
+                    self._factors.copy_(factors[i])
+                    self._iterate()
+                    losses[i].copy_(self._losses)
+        except torch.OutOfMemoryError:
+            raise OutOfDeviceMemory(self._what_fits()) from None
+        return losses.T.double().cpu().numpy()
+
+    def _draw(self) -> None:
+        """Draw each network's minibatch and dropped units."""
+        for member, random in enumerate(self._random):
+            self._drawn[member].random_(self._n_rows[member], generator=random)
+            dropped = self._dropped[member, :, : self._n_dropped[member]]
+            if dropped.numel():
+                dropped.random_(self._n_units[member], generator=random)
+
+    def _iterate(self) -> None:
+        """Take one iteration; on a CUDA device by one call, after the first few."""
+        if self._device.type == "cuda" and self._n_done == _N_EAGER:
+            self._graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(self._graph):
+                self.step(*self._minibatch())
+        if self._graph is None:
+            self.step(*self._minibatch())
+        else:
+            self._graph.replay()
         self._n_done += 1
-        return loss.item()
 
-    def weights(self) -> dict[str, Float32]:
-        """Return copies of weight_i and bias_i of each layer i."""
-        return {name: parameter.detach().cpu().numpy().copy() for name, parameter in self._parameters.items()}
+    def _minibatch(self) -> tuple[Tensor, Tensor]:
+        """Return (n_networks, n_rows, n_columns) rows, and the share that each has in its minibatch."""
+        n_networks, n_drawn = self._drawn.shape
+        if self._counted:
+            counts = torch.zeros(self._rows.shape[:2], dtype=torch.int32, device=self._device)
+            one = torch.ones((), dtype=torch.int32, device=self._device)
+            counts.scatter_add_(1, self._drawn, one.expand_as(self._drawn))
+            return self._rows, counts / n_drawn
+        first = self._rows.shape[1] * torch.arange(n_networks, device=self._device)
+        rows = self._rows.flatten(0, 1).index_select(0, (self._drawn + first[:, None]).flatten())
+        return rows.view(n_networks, n_drawn, -1), torch.full_like(self._drawn, 1 / n_drawn, dtype=torch.float32)
 
-    def predict(self, inputs: Float32) -> Float32:
-        """Map (n_rows, n_inputs) standardised observations to (n_rows, n_outputs) outputs, without dropout."""
-        with torch.inference_mode(), deterministic(self._device):
-            return self._forward(torch.from_numpy(inputs).to(self._device), 0.0).cpu().numpy()
+    @torch.no_grad()
+    def step(self, rows: Tensor, shares: Tensor) -> None:
+        """Take one iteration of AdamW on (n_networks, n_rows, n_columns) rows with (n_networks, n_rows) shares."""
+        columns: Any = torch.split(rows, self._widths, dim=2)
+        values = self._forward(columns[0])
+        with torch.enable_grad():
+            outputs = values.pop().requires_grad_()
+            losses = (shares * row_losses(self._training, outputs, Targets(*columns[1:]))).sum(dim=1)
+            (gradient,) = torch.autograd.grad(losses.sum(), outputs)
+        self._losses.copy_(losses.detach())
+        self._backward(values, gradient)
+        decay, rate, root = self._factors
+        self._mean.lerp_(self._gradient, 1 - BETA_1)
+        self._mean_square.mul_(BETA_2).addcmul_(self._gradient, self._gradient, value=1 - BETA_2)
+        self._numbers.mul_(decay).sub_(rate * self._mean / (self._mean_square.sqrt() * root + EPSILON))
 
-    def _forward(self, rows: Tensor, dropout: float) -> Tensor:
-        n_layers = len(self._parameters) // 2
-        for i in range(n_layers):
-            rows = torch.addmm(self._parameters[f"bias_{i}"], rows, self._parameters[f"weight_{i}"])
-            if i < n_layers - 1:
-                rows = torch.relu(rows)
-                if dropout > 0:
-                    rows = rows * dropout_mask(rows.shape, dropout, self._random)
-        return rows
+    def _weight(self, layer: int) -> Tensor:
+        """Return a layer's weights, with the factor of the units before it that were not dropped."""
+        weight = self._parameters[f"weight_{layer}"]
+        return weight * self._keep if layer else weight
+
+    def _forward(self, inputs: Tensor) -> list[Tensor]:
+        """Return the values of each layer, from the inputs to the outputs; inputs and outputs are in float32."""
+        values = [inputs]
+        for i in range(self._n_layers - 1):
+            precision = self._half if i else torch.float32
+            weight, bias = self._weight(i).to(precision), self._parameters[f"bias_{i}"].to(precision)
+            hidden = torch.baddbmm(bias[:, None], values[-1], weight).relu_().to(self._half)
+            values.append(hidden)
+            hidden.flatten(1).scatter_(1, self._dropped[:, i], 0.0)
+        last = self._n_layers - 1
+        outputs = _product(values[-1], self._weight(last).to(self._half))
+        return [*values, outputs + self._parameters[f"bias_{last}"][:, None]]
+
+    def _backward(self, values: list[Tensor], gradient: Tensor) -> None:
+        """Compute the gradients of the parameters, from (n_networks, n_rows, n_outputs) gradients at the outputs.
+
+        They are scaled by a power of two meanwhile: float16 would lose small ones, and float32 keeps every bit.
+        """
+        largest = gradient.abs().amax(dim=(1, 2), keepdim=True).clamp(min=1e-30)
+        scale = torch.exp2(torch.floor(torch.log2(_LARGEST / largest)))
+        gradient = (gradient * scale).to(self._half)
+        for i in reversed(range(self._n_layers)):
+            factor = (self._keep if i else 1.0) / scale
+            self._gradients[f"weight_{i}"].copy_(_product(values[i].transpose(1, 2), gradient) * factor)
+            self._gradients[f"bias_{i}"].copy_(gradient.sum(dim=1, dtype=torch.float32) / scale[:, 0])
+            if i:
+                gradient = torch.bmm(gradient, self._weight(i).to(self._half).transpose(1, 2)).mul_(values[i] > 0)
+
+    def weights(self) -> list[dict[str, Float32]]:
+        """Return copies of weight_i and bias_i of each layer i, of each network."""
+        arrays = {name: array.cpu().numpy() for name, array in self._parameters.items()}
+        return [{name: array[k].copy() for name, array in arrays.items()} for k in range(len(self._n_rows))]
+
+    @torch.inference_mode()
+    def predict(self, inputs: Sequence[Float32]) -> list[Float32]:
+        """Map each network's (n_rows, n_inputs) inputs to (n_rows, n_outputs) outputs, in float32, without dropout."""
+        predicted = []
+        with one_thread(), _products("float32"):
+            for member, own in enumerate(inputs):
+                rows = torch.from_numpy(own).to(self._device)
+                for i in range(self._n_layers):
+                    weight, bias = (self._parameters[f"{kind}_{i}"][member] for kind in ("weight", "bias"))
+                    rows = torch.addmm(bias, rows.relu() if i else rows, weight)
+                predicted.append(rows.cpu().numpy())
+        return predicted
+
+    def _what_fits(self) -> str:
+        """Say about how many rows of a minibatch fit into the device's memory."""
+        n_networks, n_rows = len(self._n_rows), self._rows.shape[1] if self._counted else self._training.batch_size
+        n_hidden, width = self._n_layers - 1, self._parameters["bias_0"].shape[1]
+        n_bytes = width * (self._half.itemsize * (n_hidden + 2) + 5) + 4 * (3 * sum(self._widths) + 1)
+        needed = n_networks * n_rows * n_bytes  # hidden units, two of their gradients, what is active, and outputs
+        free = torch.cuda.mem_get_info(self._device)[0] + torch.cuda.memory_reserved(self._device)
+        fitting = min(int(0.8 * n_rows * free / needed), n_rows - 1)
+        return (
+            f"{n_rows:,} rows of a minibatch in {n_networks} networks take about {needed / 1e9:.1f} GB on a GPU, and "
+            f"{free / 1e9:.1f} GB are free: expected training.batch_size to be at most {fitting:,}"
+        )
 
 
-def mean_loss(training: Training, predicted: Any, targets: Targets) -> Any:
-    """Return the mean loss over rows, of arrays of NumPy or as a node of torch's graph.
+def _product(a: Tensor, b: Tensor) -> Tensor:
+    """Multiply batches of matrices, with sums and results in float32."""
+    if a.is_cuda and a.dtype == b.dtype == torch.float16:
+        return torch.bmm(a, b, out_dtype=torch.float32)
+    return torch.bmm(a.float(), b.float())
+
+
+def row_losses(training: Training, predicted: Any, targets: Targets) -> Any:
+    """Return the loss of each row, of arrays of NumPy or as a node of torch's graph.
 
     L_mse = ‖φ(o) - e‖² / n_errors, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
 
     Args:
         training: the loss and its parameters.
-        predicted: (n_rows, n_outputs) outputs φ(o).
+        predicted: (..., n_rows, n_outputs) outputs φ(o).
         targets: what they learn, of which e are the values.
     """
     values, weights, shares = targets
-    n = values.shape[1]
-    errors = predicted[:, :n]
-    for further in range(predicted.shape[1] - n):
-        errors = errors + predicted[:, n + further, None] * shares[:, n * further : n * (further + 1)]
+    n = values.shape[-1]
+    errors = predicted[..., :n]
+    for further in range(predicted.shape[-1] - n):
+        factor = predicted[..., n + further, None]
+        errors = errors + factor * shares[..., n * further : n * (further + 1)]
     squared = (errors - values) ** 2
-    L_mse = (weights * squared if weights.shape[1] else squared).mean(axis=1)
+    L_mse = (weights * squared if weights.shape[-1] else squared).mean(axis=-1)
     if training.loss == "mse":
-        return L_mse.mean()
+        return L_mse
     expm1 = torch.expm1 if isinstance(L_mse, Tensor) else np.expm1
-    return training.focal_alpha * ((-expm1(-training.focal_s * L_mse)) ** training.focal_gamma * L_mse).mean()
-
-
-def weight_updates(parameters: Sequence[Tensor], weight_decay: float) -> Callable[[float], None]:
-    """Return the update of AdamW, which takes a learning rate and changes parameters in place by their gradients.
-
-    It is the function behind torch.optim.AdamW. The class would import torch's compiler, which takes each process that
-    trains 2 to 6 s.
-    """
-    mean, mean_square = ([torch.zeros_like(parameter) for parameter in parameters] for _ in range(2))
-    n_updates = [torch.zeros((), device=parameter.device) for parameter in parameters]
-
-    @torch.no_grad()
-    def update(rate: float) -> None:
-        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-        adamw(
-            list(parameters),
-            gradients,
-            mean,
-            mean_square,
-            [],
-            n_updates,
-            fused=True,
-            amsgrad=False,
-            beta1=BETA_1,
-            beta2=BETA_2,
-            lr=rate,
-            weight_decay=weight_decay,
-            eps=EPSILON,
-            maximize=False,
-        )
-
-    return update
-
-
-def dropout_mask(shape: torch.Size, p: float, random: torch.Generator) -> Tensor:
-    """Return factors that are 0 with probability p and 1 / (1 - p) otherwise, independently.
-
-    Gaps between dropped units are geometric, so only the few gaps are drawn. torch's dropout draws a number for every
-    unit, which took half the training time of a small network at the paper's p.
-    """
-    n = shape.numel()
-    # Enough gaps to pass the end: the mean plus ten deviations falls short with a probability below 1e-20.
-    n_gaps = int(n * p + 10 * (n * p) ** 0.5 + 20)
-    gaps = torch.empty(n_gaps, dtype=torch.int64, device=random.device).geometric_(p, generator=random)
-    mask = torch.full((n + 1,), 1 / (1 - p), device=random.device)  # position n stands for all past the end
-    return mask.index_fill_(0, gaps.cumsum(0).sub_(1).clamp_(max=n), 0.0)[:n].view(shape)
+    return training.focal_alpha * (-expm1(-training.focal_s * L_mse)) ** training.focal_gamma * L_mse
 
 
 def n_cuda_devices() -> int:
@@ -161,16 +261,40 @@ def n_cuda_devices() -> int:
     return torch.cuda.device_count() if torch.cuda.is_available() else 0
 
 
+def require_device(training: Training) -> None:
+    """Raise NoDevice, with torch's reason, if a training needs a CUDA device and there is none."""
+    if training.device == "cpu" or n_cuda_devices():
+        return
+    why = "it was built without CUDA"
+    if torch.version.cuda:
+        why = f"it was built for CUDA {torch.version.cuda}"
+        try:
+            torch.cuda.init()  # type: ignore[no-untyped-call]
+        except RuntimeError as error:  # such as that the driver is too old
+            why += f"; {str(error).partition('. ')[0].splitlines()[0]}"
+    raise NoDevice(f"training.device is cuda, but torch {torch.__version__} finds no CUDA device: {why}")
+
+
 @contextmanager
-def deterministic(device: torch.device) -> Iterator[None]:
-    """Restrict torch to one thread and deterministic algorithms; restore its state afterwards."""
-    n_threads, mode = torch.get_num_threads(), torch.get_deterministic_debug_mode()
-    if device.type == "cuda":
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it cuBLAS refuses to be deterministic
+def _products(precision: str) -> Iterator[None]:
+    """Let factors of products in float32 be rounded to TF32 or not, and sums never; restore torch's state."""
+    before, matmul = torch.get_float32_matmul_precision(), torch.backends.cuda.matmul
+    in_half = matmul.allow_fp16_reduced_precision_reduction
+    try:
+        torch.set_float32_matmul_precision("high" if precision == "tf32" else "highest")
+        matmul.allow_fp16_reduced_precision_reduction = False
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+        matmul.allow_fp16_reduced_precision_reduction = in_half
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Restrict torch to one thread of the processor, on which its results depend; restore its state afterwards."""
+    n_threads = torch.get_num_threads()
     try:
         torch.set_num_threads(1)
-        torch.set_deterministic_debug_mode("error")  # use_deterministic_algorithms would import torch's compiler
         yield
     finally:
         torch.set_num_threads(n_threads)
-        torch.set_deterministic_debug_mode(mode)

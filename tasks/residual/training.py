@@ -5,24 +5,24 @@ another processor as well; on a CUDA device, on the same machine. All members of
 throws, and of tracked throws those that the medium of their data was not fitted to.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numba
 import numpy as np
-import torch
 from numpy.random import Generator
 
 from tasks.arrays import Bools, Float32, Float64, Floats, Int64
 from tasks.residual.current import current, is_current
-from tasks.residual.descent import Descent
+from tasks.residual.descent import Descent, Weights
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.forms import Form, Targets, form_named, observe, symmetric_copies, velocity_changes
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import Standardisation, initial_weights
 from tasks.residual.throws import MeasuredTransitions, Transitions, precision_weights
-from tasks.residual.torch_descent import TorchDescent, mean_loss, n_cuda_devices
+from tasks.residual.torch_descent import TorchDescent, require_device, row_losses
 from tasks.seeding import generator
 from tasks.world import Physics
 
@@ -37,10 +37,6 @@ _N_CURVE_POINTS = 100  # approximate number of points of a learning curve
 
 class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
     """The loss of a member is not finite."""
-
-
-class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
-    """torch does not find the requested device."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,25 +120,70 @@ def train_member(
     member: int,
     physics: Physics | None = None,
 ) -> TrainedMember:
-    """Return one network, trained on one CPU thread or one CUDA device.
+    """Return one network; see :func:`train_members`."""
+    return train_members([transitions], architecture, training, seed=seed, members=[member], physics=physics)[0]
+
+
+def train_members(
+    transitions: Sequence[Transitions],
+    architecture: Architecture,
+    training: Training,
+    *,
+    seed: int,
+    members: Sequence[int],
+    physics: Physics | None = None,
+) -> list[TrainedMember]:
+    """Return networks: trained one after the other on one CPU thread, or all at once on one CUDA device.
 
     Args:
-        transitions: the data set.
-        architecture: the network's size.
+        transitions: the data set of each.
+        architecture: the networks' size.
         training: settings of the training.
         seed: the study's seed; it determines the held-out throws.
-        member: index in the ensemble; with the seed, it determines all other randomness.
+        members: index of each in the ensemble; with the seed, it determines all other randomness.
         physics: constants of the base simulator, which the fit of a law needs; the paper's by default.
 
     Raises:
         NoDevice: torch finds no CUDA device.
+        OutOfDeviceMemory: its memory does not hold a minibatch.
         TrainingDiverged: the loss is not finite.
         UnfittedLaw: the throws do not determine the constants of a law.
         ValueError: there are fewer than two throws.
     """
-    if training.device == "cuda" and not n_cuda_devices():
-        built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
-        raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
+    require_device(training)
+    lessons = [
+        _lesson(data, architecture, training, seed, member, physics or Physics())
+        for data, member in zip(transitions, members, strict=True)
+    ]
+    if not form_named(architecture.form).learned:
+        return [lesson.finish(lesson.weights) for lesson in lessons]
+    if training.device == "cuda" or numba.config.DISABLE_JIT:
+        weights, learned, rngs = zip(*((one.weights, one.learned, one.rng) for one in lessons), strict=True)
+        by_torch = TorchDescent(weights, learned, architecture.dropout, training, rngs)
+        return _learn(by_torch, lessons, training, members)
+    trained = []
+    for lesson, member in zip(lessons, members, strict=True):
+        on_a_core = Descent(lesson.weights, *lesson.learned, architecture.dropout, training, lesson.rng)
+        trained += _learn(on_a_core, [lesson], training, [member])
+    return trained
+
+
+@dataclass(frozen=True, eq=False)
+class _Lesson:
+    """What a network begins with and learns."""
+
+    weights: Weights
+    learned: tuple[Float32, Targets]  # standardised
+    held_out: tuple[Float32, Targets]
+    rng: Generator
+    finish: Callable[..., TrainedMember]
+    """Describes the member by its weights and, if its form learns, its curve and outputs for what is held out."""
+
+
+def _lesson(
+    transitions: Transitions, architecture: Architecture, training: Training, seed: int, member: int, physics: Physics
+) -> _Lesson:
+    """Split the throws, fit the law, and standardise what that leaves over."""
     if isinstance(transitions, MeasuredTransitions):
         split = ~transitions.held_out, transitions.held_out
     else:
@@ -151,7 +192,7 @@ def train_member(
     times = _times_drawn(transitions.throw, to_learn, generator(seed, "resample", member))
     if isinstance(transitions, MeasuredTransitions):  # members differ by what few throws leave open
         to_learn = np.repeat(to_learn, times[to_learn].astype(int))
-    form, physics = form_named(architecture.form), physics or Physics()
+    form = form_named(architecture.form)
     links, residual = transitions.links(physics), transitions.residual[:, -form.n_errors :]
     read, weights = observe(form, links), np.ones_like(residual)
     if isinstance(transitions, MeasuredTransitions):  # a camera sees x and y alike, so any other axes, too
@@ -177,31 +218,24 @@ def train_member(
         targets = form.targets(inputs, standard, weights, standardisation.residual_deviation)
         return standardisation.standard_observation(inputs), targets
 
-    rng = generator(seed, "member", member)
-    trained = initial_weights(architecture.sizes, rng)
-    if form.learned:
-        by_torch = training.device == "cuda" or numba.config.DISABLE_JIT
-        descent = (TorchDescent if by_torch else Descent)(
-            trained, *standardised(*learned), architecture.dropout, training, rng
-        )
-        validation_set = standardised(*held_out)
-        curve = _learn(descent, *validation_set, training, member)
-        trained, outputs = descent.weights(), standardisation.residual(descent.predict(validation_set[0]))
-    else:
-        squared = np.square(left_over / residual.std(axis=0)).mean(axis=1)
-        curve = np.array([[1, squared[to_learn].mean(), squared[to_validate].mean()]])
-        outputs = np.empty((len(to_validate), 0), np.float32)
-    beside, acting = np.split(outputs, [len(form.beside)], axis=1)
-    predicted = np.concatenate((beside, changes_by(acting, read[to_validate])), axis=1)
+    def finish(
+        weights: dict[str, Float32], curve: Float64 | None = None, standard: Float32 | None = None
+    ) -> TrainedMember:
+        if curve is None or standard is None:
+            squared = np.square(left_over / residual.std(axis=0)).mean(axis=1)
+            curve = np.array([[1, squared[to_learn].mean(), squared[to_validate].mean()]])
+            outputs = np.empty((len(to_validate), 0), np.float32)
+        else:
+            outputs = standardisation.residual(standard)
+        beside, acting = np.split(outputs, [len(form.beside)], axis=1)
+        predicted = np.concatenate((beside, changes_by(acting, read[to_validate])), axis=1)
+        speed = np.hypot(transitions.state[to_validate, 3], transitions.state[to_validate, 4])
+        errors = error_rows(predicted, residual[to_validate], speed)
+        return TrainedMember(weights, standardisation, form, curve, errors, law)
 
-    vx, vy = transitions.state[to_validate, 3], transitions.state[to_validate, 4]
-    return TrainedMember(
-        weights=trained,
-        standardisation=standardisation,
-        form=form,
-        learning_curve=curve,
-        validation=error_rows(predicted, residual[to_validate], np.hypot(vx, vy)),
-        law=law,
+    rng = generator(seed, "member", member)
+    return _Lesson(
+        initial_weights(architecture.sizes, rng), standardised(*learned), standardised(*held_out), rng, finish
     )
 
 
@@ -214,20 +248,22 @@ def _times_drawn(throw: Int64, learned: Int64, rng: Generator) -> Float32:
 
 
 def _learn(
-    descent: Descent | TorchDescent, inputs: Float32, targets: Targets, training: Training, member: int
-) -> Float64:
-    """Take all iterations and return the learning curve; the arguments are those of the validation set."""
+    descent: Descent | TorchDescent, lessons: Sequence[_Lesson], training: Training, members: Sequence[int]
+) -> list[TrainedMember]:
+    """Take all iterations, and return the members with their learning curves."""
     every = max(training.n_iterations // _N_CURVE_POINTS, 1)
-    curve = []
+    curves: list[list[tuple[int, float, float]]] = [[] for _ in lessons]
     for first in range(0, training.n_iterations, every):
         losses = descent.advance(min(every, training.n_iterations - first))
-        done = first + len(losses)
-        _check_finite(losses, "training", member, first + 1)
-        predicted = descent.predict(inputs).astype(np.float64)
-        validation_loss = float(mean_loss(training, predicted, targets))
-        _check_finite(np.array([validation_loss]), "validation", member, done)
-        curve.append((done, float(losses.mean()), validation_loss))
-    return np.array(curve)
+        done = first + losses.shape[1]
+        outputs = descent.predict([lesson.held_out[0] for lesson in lessons])
+        for lesson, member, curve, own, predicted in zip(lessons, members, curves, losses, outputs, strict=True):
+            _check_finite(own, "training", member, first + 1)
+            validation_loss = float(row_losses(training, predicted.astype(np.float64), lesson.held_out[1]).mean())
+            _check_finite(np.array([validation_loss]), "validation", member, done)
+            curve.append((done, float(own.mean()), validation_loss))
+    trained = zip(lessons, descent.weights(), curves, outputs, strict=True)
+    return [lesson.finish(weights, np.array(curve), predicted) for lesson, weights, curve, predicted in trained]
 
 
 def _check_finite(losses: Float64, name: str, member: int, first: int) -> None:

@@ -115,3 +115,11 @@ except typer.Exit as end:
 def test_another_interrupt_does_not_disturb_the_exit():
     done = subprocess.run([sys.executable, "-c", STOPPED_TWICE], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (130, "cleaned up\n") and "Traceback" not in done.stderr
+
+
+def test_a_missing_gpu_is_a_message_before_anything_is_made(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("tasks.residual.torch_descent.n_cuda_devices", lambda: 0)
+    store = tmp_path / "store"
+    said = refused(capsys, "study", "--preset", "smoke", "--set", "training.device=cuda", "--store", str(store))
+    assert "training.device is cuda, but torch" in said and "training.device=cpu" in said
+    assert not store.exists()

@@ -63,3 +63,9 @@ def test_the_command_prints_a_table(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "study paper: the rest of the work on 64 cores" in out
     assert [line.split()[0] for line in out.splitlines()[2:10]] == [stage.name for stage in STAGES]
+
+
+def test_no_time_is_told_of_a_gpu_that_nothing_was_measured_on():
+    on_a_gpu = load(Settings, preset_path("paper"), ["training.device=cuda"])
+    (train,) = (one for one in forecast_stages(on_a_gpu) if one.stage == "train")
+    assert train.source == "nothing: not measured on a GPU" and train.core_seconds == 0 and train.n_units == 500_000

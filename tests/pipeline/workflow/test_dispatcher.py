@@ -5,13 +5,17 @@ from collections.abc import Sequence
 
 import pytest
 from small_study import ON_DRY_LAND, digests, run
+from small_study import tiny as small
 
 from pipeline.cluster import Cluster, Ticket, serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages.adapt import ADAPT
 from pipeline.stages.evolve import EVOLVE
+from pipeline.stages.train import TRAIN
 from pipeline.store.store import Store
+from pipeline.workflow.dispatcher import _take_batch
+from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.stage import AnyStage, Files, Inputs, Item
 
 
@@ -125,3 +129,20 @@ def test_items_of_a_failed_batch_are_retried_one_by_one(tmp_path):
     assert trial.label == "dry_land/1m/trial-2" and "2 attempts" in why and "no such luck" in why
     del sound["evolve"].done[trial]
     assert digests(found) == digests(sound)
+
+
+@pytest.mark.parametrize(("device", "expected"), [("cuda", [3, 3, 1, 1]), ("cpu", [1] * 8)])
+def test_networks_of_a_data_set_are_one_batch_on_a_gpu_though_cores_have_no_work(device, expected):
+    settings = small(
+        f"training.device={device}",
+        "ensemble.n_members=3",
+        "replicates=2",
+        "grid={environments: [true_slush, residual_slush, designed_throws], single_member_depths: []}",
+        "learners.designed_throws={n_members: 1}",
+    )
+    ready = [ChainProgress(chain) for chain in TRAIN.plan(settings)]
+    batches = []
+    while ready:
+        batches.append([progress.chain.identity.data_set for progress in _take_batch(ready, -30)])
+        assert len(set(batches[-1])) == 1
+    assert [len(batch) for batch in batches] == expected

@@ -22,7 +22,9 @@ def members(architecture, n_members=N_MEMBERS, seed=0):
         standardisation = Standardisation.of(*rows, standardise_targets=True)
         weights = initial_weights(architecture.sizes, rng)
         targets = Targets(rows[1], rows[1][:, :0], rows[1][:, :0])
-        networks.append((TorchDescent(weights, rows[0], targets, 0.0, Training(), rng), standardisation))
+        networks.append(
+            (TorchDescent([weights], [(rows[0], targets)], 0.0, Training(batch_size=1), [rng]), standardisation)
+        )
         form = np.frombuffer(b"plain", np.uint8)
         arrays.append({**weights, **vars(standardisation), "form": form})
     return networks, arrays
@@ -67,7 +69,7 @@ def test_equals_each_member_s_own_network(architecture):
     got = Ensemble.from_members(arrays).predict(x)
     assert got.shape == (N_MEMBERS, 300, 3) and got.dtype == np.float32
     for k, (network, standardisation) in enumerate(networks):
-        standard = network.predict(standardisation.standard_observation(x[k]))
+        (standard,) = network.predict([standardisation.standard_observation(x[k])])
         expected = standardisation.residual(standard)[:, 3:]
         # Sums of n terms in two orders differ by about n^½ roundings, in each layer and in the folded standardisation.
         roundings = (architecture.hidden_layers + 1) * architecture.width**0.5

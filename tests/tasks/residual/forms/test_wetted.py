@@ -10,7 +10,7 @@ from tasks.residual.current import current, is_current
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.forms import observe, symmetric_copies, velocity_changes
 from tasks.residual.forms.wetted import WETTED
-from tasks.residual.torch_descent import mean_loss
+from tasks.residual.torch_descent import row_losses
 from tasks.residual.training import split_throws, train_member
 from tasks.world import LinkStates, Physics, Slush, VelocityChange
 from tasks.world.anisotropic_slush import AnisotropicSlush
@@ -72,7 +72,7 @@ def test_training_minimises_the_squared_error_of_that_law():
     targets = WETTED.targets(inputs, change, np.full((500, 3), 0.5), deviation)
     error = WETTED.measured(inputs, velocity_changes(WETTED, outputs * deviation, inputs) - true) / deviation
     expected = 0.5 * np.square(error)[inputs[:, 0] > 0, :3].sum() / (3 * 500)
-    assert mean_loss(TRAINING, outputs, targets) == pytest.approx(expected, rel=1e-5)
+    assert row_losses(TRAINING, outputs, targets).mean() == pytest.approx(expected, rel=1e-5)
     assert 50 < (inputs[:, 0] == 0).sum() < 450
 
 
