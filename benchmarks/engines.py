@@ -44,7 +44,7 @@ def _batch(designs: Designs, environment: Environment) -> float:
     scene = batch.scene_of(environment, _PHYSICS)
     taken = 0.0
     for _ in range(_N_GENERATIONS):
-        groups = Groups(designs, _PHYSICS, environment.medium, n_members=1, n_lanes=WIDEST)
+        groups = Groups(designs, environment.depth, _PHYSICS, environment.medium, n_members=1, n_lanes=WIDEST)
         taken += seconds(partial(groups.advance, scene, 0, N_STEPS, None))
     return taken / _N_GENERATIONS / N_DESIGNS / N_STEPS * 1e6
 
@@ -57,7 +57,8 @@ def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
 
 def _bare_steps(designs: Designs, environment: Environment, physics: Physics = _PHYSICS) -> float:
     """Time pybox2d's Step of all robots and nothing else."""
-    trees, controllers = kinematic_trees(designs, density=physics.link_density), Controllers.of(designs)
+    trees = kinematic_trees(designs, density=physics.link_density)
+    controllers = Controllers(designs, physics, environment.depth)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     robots = [
         reference._Robot(trees, rigid, design, controllers, environment.depth, physics)

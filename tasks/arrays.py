@@ -21,7 +21,8 @@ class ArrayData:
     def __repr__(self) -> str:
         names: dict[tuple[int, ...], list[str]] = {}
         for field in fields(self):  # type: ignore[arg-type]
-            if (value := getattr(self, field.name)) is not None:
+            value = getattr(self, field.name)
+            if value is not None and not isinstance(value, str) and 0 not in np.shape(value)[1:]:
                 names.setdefault(np.shape(value), []).append(field.name)
         shown = "; ".join(f"{', '.join(of_shape)} {shape}" for shape, of_shape in names.items())
         return f"{type(self).__name__}({shown})"

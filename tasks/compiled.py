@@ -94,7 +94,8 @@ def entry(kernel: Any, *arguments: Any) -> Any:
     if numba.config.DISABLE_JIT:
         return kernel
     types = tuple(map(numba.typeof, arguments))
-    kernel.compile(types)
+    if types not in kernel.overloads:
+        kernel.compile(types)
     compiled_for = kernel.overloads[types]
     return compiled_for.library.get_pointer_to_function(compiled_for.fndesc.llvm_func_name)
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from tasks.design import CONTROLLERS, OPEN_LOOP
 from tasks.evolution import OBJECTIVES, SEARCHES
 from tasks.residual.forms import form_named
 from tasks.residual.learner import stated
@@ -46,6 +47,13 @@ def check(settings: Settings) -> None:
             )
     _check_objective(settings)
     _check_learners(settings)
+    controller, morphology = CONTROLLERS[settings.evolution.controller], settings.evolution.morphology
+    if morphology.constrains_gaits and not controller.is_blind:
+        raise ValueError(
+            f"evolution.morphology constrains gaits, but evolution.controller {controller.name} needs "
+            f"{controller.needs}, which no check of a gait knows: expected unjoined_links apart or may_overlap and "
+            f"max_joint_speed null, or controller {OPEN_LOOP}"
+        )
     _check_tracks(settings)
     if settings.tank is not None and settings.rollout.n_settle < 1:
         raise ValueError(
@@ -84,6 +92,7 @@ def _check_learners(settings: Settings) -> None:
         ("transfer.adapted_environments", settings.transfer.adapted_environments or (), known),
         ("evolution.objective", (settings.evolution.objective,), tuple(OBJECTIVES)),
         ("evolution.search", (settings.evolution.search,), tuple(SEARCHES)),
+        ("evolution.controller", (settings.evolution.controller,), tuple(CONTROLLERS)),
     ):
         for name in names:
             if name not in allowed:

@@ -13,7 +13,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 from pipeline.config.agreement import check
 from tasks.analysis.tank import Tank
 from tasks.bench.tracks.conventions import Tracks
-from tasks.design import Morphology
+from tasks.design import CONTROLLERS, OPEN_LOOP, Morphology
 from tasks.evolution import (
     OBJECTIVES,
     PAPERS_OBJECTIVE,
@@ -118,6 +118,8 @@ class EvolutionSettings(Parameters):
     """The algorithm."""
     morphology: Morphology = Morphology()
     """Constraints on bodies and motors."""
+    controller: str = OPEN_LOOP
+    """What turns the joints: open_loop, the paper's oscillators, or another registered controller. [P]: open_loop."""
     search: SearchName = PAPERS_SEARCH
     """What improves designs and adapted controllers: afpo, the paper's age-fitness Pareto optimisation, or another
     search, whose settings are the group of its name. [P]: afpo."""
@@ -359,4 +361,6 @@ class RecordedSettings(Settings, extra="allow"):
         used = {self.target, *self.grid.environments} - {*ENVIRONMENTS, *self.learners}
         forms = {self.network.form, *(given.network.form for given in self.learners.values())}
         used |= {form for form in forms if not form_here(form)}
-        return sorted(used | {self.evolution.search, self.evolution.objective} - {*SEARCHES, *OBJECTIVES})
+        evolution = self.evolution
+        of_evolution = {evolution.search, evolution.objective, evolution.controller}
+        return sorted(used | of_evolution - {*SEARCHES, *OBJECTIVES, *CONTROLLERS})

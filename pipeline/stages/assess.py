@@ -15,13 +15,13 @@ from pipeline.stages.data_sets import AssessmentId, DataSetId, ensemble_ids
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.files import HISTORY, PREDICTIONS
 from pipeline.stages.reader import read_study
+from pipeline.stages.segments import units_of_genes
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName, TrialId, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Stage, Summary, Upstream
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.design import Designs
-from tasks.design.genes import GENES
 from tasks.residual import arm_kind
 from tasks.seeding import generator
 from tasks.world import EnvironmentName
@@ -29,7 +29,7 @@ from tasks.world import EnvironmentName
 _SEGMENT = "segment"  # role of the inputs that are a trial's histories
 
 
-def _units(target: str) -> dict[str, str]:
+def _units(target: str, controller: str) -> dict[str, str]:
     """Return what the columns of the predictions are, or their units."""
     return {
         "environment": "where the design evolved",
@@ -41,7 +41,7 @@ def _units(target: str) -> dict[str, str]:
         "true_com": f"m, of the centre of mass in {target}",
         "predicted": "m, of the root under each member; NaN where diverged",
         "predicted_com": "m, of the centre of mass under each member",
-        **{gene.name: gene.unit for gene in GENES},
+        **units_of_genes(controller),
     }
 
 
@@ -130,7 +130,7 @@ def _compute(item: Item[AssessSpec], inputs: Inputs) -> Files:
         "predicted_com": predicted.com_displacement.T,
         **dict(designs.arrays()),
     }
-    units = _units(arm_kind(spec.target).label)
+    units = _units(arm_kind(spec.target).label, designs.controller)
     return {PREDICTIONS.name: PREDICTIONS.encode(columns, units)}
 
 

@@ -19,14 +19,14 @@ from pipeline.store.manifest import Manifest
 from pipeline.workflow.identity import Arm, InputName, TrialId
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Sources
 from tasks.design import Designs, Morphology
-from tasks.design.genes import GENES
+from tasks.design.genes import table_of
 from tasks.evolution import (
-    EMPTY_POPULATION,
     OBJECTIVES,
     Optimiser,
     Population,
     SearchName,
     Trial,
+    empty_population,
     evolve,
     history_units,
 )
@@ -49,6 +49,7 @@ class TrialSpec:
     search: SearchName
     optimiser: Optimiser  # the search, with its settings
     morphology: Morphology
+    controller: str  # of its designs
     fitness: FitnessSpec  # what its designs are selected for
 
     def at_home(self, networks: Mapping[NetworkId, Files]) -> Environment:
@@ -75,6 +76,7 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         settings.evolution.search,
         settings.evolution.optimiser,
         settings.evolution.morphology,
+        settings.evolution.controller,
         environments.fitness_spec(settings, environment),
     )
 
@@ -129,7 +131,7 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
     trials = [_trial(item.spec.trial, item_inputs) for item, item_inputs in zip(items, inputs, strict=True)]
     environment = spec.trial.at_home(networks_among(inputs[0]))
     search, objective = spec.trial.optimiser, spec.trial.fitness.objective
-    of_history = {**history_units(search, objective), **{gene.name: gene.unit for gene in GENES}}
+    of_history = history_units(search, objective) | units_of_genes(spec.trial.controller)
     of_curve = curve_units(search, OBJECTIVES[objective].unit)
     advanced = evolve(
         trials,
@@ -159,9 +161,14 @@ def _trial(spec: TrialSpec, inputs: Inputs) -> Trial:
     """Return a trial as the segment before left it."""
     return Trial(
         partial(generator, spec.seed, *spec.identity.seed_identity),
-        population_of(inputs[BEFORE]) if BEFORE in inputs else EMPTY_POPULATION,
+        population_of(inputs[BEFORE]) if BEFORE in inputs else empty_population(spec.controller),
         champion_of(population_of(inputs[CHAMPION_OF])) if CHAMPION_OF in inputs else None,
     )
+
+
+def units_of_genes(controller: str) -> dict[str, str]:
+    """Return the units of the genes of designs with a controller, by their names."""
+    return {gene.name: gene.unit for gene in table_of(controller).genes}
 
 
 def population_of(files: Files) -> Population:

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from pipeline.errors import PuddleError
 from pipeline.store import disk
 from pipeline.store.encoding import decode_document, encode_document
-from tasks.design import Designs, check
+from tasks.design import DesignError, Designs, check
 from tasks.design.genes import DTYPES
 
 DESIGN_SCHEMA, DESIGN_VERSION = "puddle.design", 1
@@ -31,9 +31,11 @@ def design_from(data: bytes, source: str) -> Designs:
     """Return the design in a design file, which messages call ``source``; the error names the faulty gene."""
     document = decode_document(data, schema=DESIGN_SCHEMA, version=DESIGN_VERSION, source=source)
     genes = {name: [value] for name, value in document.items() if name not in ("schema", "version")}
-    if unknown := [name for name in genes if name not in DTYPES]:
-        raise PuddleError(f"{source}: expected the genes {', '.join(DTYPES)}, got {', '.join(unknown)}, too")
-    return _designs(genes, source)
+    designs = _designs(genes, source)
+    known = dict(designs.arrays())
+    if unknown := [name for name in genes if name not in known]:
+        raise PuddleError(f"{source}: expected the genes {', '.join(known)}, got {', '.join(unknown)}, too")
+    return designs
 
 
 def load_design(path: str | Path) -> Designs:
@@ -83,8 +85,13 @@ def open_designs(path: str | Path) -> Designs:
         raise PuddleError(f"{path}: expected at least one design, got none")
     if _DESIGN_JSON in table.column_names:
         texts = table[_DESIGN_JSON].to_pylist()
-        return Designs.concatenate([design_from(text.encode(), f"{path}, row {row}") for row, text in enumerate(texts)])
-    return _designs({name: table[name].to_pylist() for name in DTYPES if name in table.column_names}, str(path))
+        each = [design_from(text.encode(), f"{path}, row {row}") for row, text in enumerate(texts)]
+        try:
+            return Designs.concatenate(each)
+        except DesignError as error:
+            raise PuddleError(f"{path}: {error}") from None
+    names = [name for name in table.column_names if name in DTYPES or "." in name]
+    return _designs({name: table[name].to_pylist() for name in names}, str(path))
 
 
 def columns_of_designs(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -101,10 +108,8 @@ def columns_of_designs(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def _designs(genes: Mapping[str, Any], source: str) -> Designs:
-    if missing := [name for name in DTYPES if name not in genes]:
-        raise PuddleError(f"{source}: expected every gene, got none for {', '.join(missing)}")
     try:
-        designs = Designs(**{name: _numbers(name, genes[name]) for name in DTYPES})
+        designs = Designs.from_arrays({name: _numbers(name, values) for name, values in genes.items()})
         check(designs)
     except ValueError as error:  # DesignError is one
         raise PuddleError(f"{source}: {str(error).removeprefix('design 0: ')}") from None

@@ -1,59 +1,63 @@
-"""The gait: how far each joint's motor turns it from its rest angle, over time. Paper, "Evolutionary Design".
+"""The gait: how far each joint's motor turns it from its rest angle over time, as far as that is known beforehand.
 
-    swing = A · sin(2π (f t + phase))        target angle = rest angle + swing
-
-with one frequency f per robot; the amplitude A is the joint's range of motion. Everything that moves a joint calls
-:func:`swing`: both engines, the constraints on designs, and the servos of a robot that was built. Only this module
-knows the formula and what follows from it.
+The law is the controller's (:mod:`tasks.design.controllers`); here, of those that sense nothing but time.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from tasks.arrays import Float64
-from tasks.compiled import formula
+from tasks.design.controllers import OPEN_LOOP, Controller, Joint, controller_named
+from tasks.design.gene import DesignError
 from tasks.design.genes import Designs
 
 TURN = 2 * np.pi  # [rad]
-AMPLITUDE, PHASE = range(2)  # numbers of a joint's gait: [rad], [turns]
-N_NUMBERS = 2
+_INSTANTS = np.arange(256) / 256  # of a period, at which other controllers than the paper's are looked at
 
 
-def gaits_of(designs: Designs) -> Float64:
-    """Return (N_NUMBERS, n_designs, n_links) numbers of the joints' gaits; a root's are ignored."""
-    return np.stack([designs.motion_range, designs.phase / TURN])
+def joints_of(designs: Designs, periods: Float64) -> Joint:
+    """Return what controllers know of joints without senses; periods broadcast to (..., n_designs, n_links)."""
+    return Joint(periods, designs.motion_range, designs.phase / TURN, np.moveaxis(designs.gains, 1, 0))
 
 
-@formula
-def swing(gait: Any, periods: Any, sine: Callable[[Any], Any]) -> Any:
-    """Return the angles from rest that gaits command [rad].
+def blind_controller(designs: Designs) -> Controller:
+    """Return the designs' controller; raise DesignError if it needs more than the time."""
+    controller = controller_named(designs.controller)
+    if not controller.is_blind:
+        raise DesignError(
+            f"controller {controller.name} needs {controller.needs}, which servos and checks of gaits lack: "
+            f"expected one that needs the time alone, such as {OPEN_LOOP}"
+        )
+    return controller
 
-    Args:
-        gait: N_NUMBERS numbers by index; each a number, an array, or SIMD lanes in a kernel.
-        periods: f t, time in periods of the gait.
-        sine: sine of an angle in turns, in the precision of both.
+
+def swing(designs: Designs, periods: Float64) -> Float64:
+    """Return the angles from rest that gaits command [rad], by f t, time in periods; (..., n_designs, n_links).
+
+    Raises:
+        DesignError: the controller senses something.
     """
-    return gait[AMPLITUDE] * sine(periods + gait[PHASE])
-
-
-def sine(turns: Float64) -> Float64:
-    """Return the sine of angles in turns in double precision; the engines have one of their own."""
-    return np.sin(TURN * turns)
+    angle: Float64 = blind_controller(designs).law(joints_of(designs, periods), lambda turns: np.sin(TURN * turns))
+    return angle
 
 
 def reach(designs: Designs) -> Float64:
     """Return the largest angle from rest that each joint's gait commands, (n_designs, n_links) [rad]."""
-    return designs.motion_range
+    if designs.controller == OPEN_LOOP:
+        return designs.motion_range
+    return np.asarray(np.abs(swing(designs, _INSTANTS[:, None, None])).max(axis=0))
 
 
 def top_speed(designs: Designs) -> Float64:
     """Return the highest speed that each joint's gait commands, (n_designs, n_links) [rad/s]."""
-    return TURN * designs.frequency[:, None] * designs.motion_range
+    if designs.controller == OPEN_LOOP:
+        return TURN * designs.frequency[:, None] * designs.motion_range
+    angle = swing(designs, _INSTANTS[:, None, None])
+    of_period = np.abs(np.roll(angle, -1, axis=0) - angle).max(axis=0) * len(_INSTANTS)
+    return np.asarray(designs.frequency[:, None] * of_period)
 
 
 def begun_later(designs: Designs, angle: float) -> Designs:
-    """Return designs whose gaits begin later, by an angle of the first harmonic [rad]."""
+    """Return designs whose oscillators begin later, by an angle [rad]."""
     return replace(designs, phase=(designs.phase + angle) % TURN)

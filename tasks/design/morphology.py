@@ -15,8 +15,10 @@ from pydantic import Field
 
 from tasks.arrays import Bools, Float64, Int64
 from tasks.design.body import rest_pose
-from tasks.design.gait import gaits_of, sine, swing, top_speed
-from tasks.design.genes import N_LINKS, DesignError, Designs, DesignTable
+from tasks.design.controllers import OPEN_LOOP
+from tasks.design.gait import swing, top_speed
+from tasks.design.gene import DesignError
+from tasks.design.genes import N_LINKS, Designs, DesignTable
 from tasks.parameters import Parameters
 
 _TOLERANCE = 1e-9  # overlap that counts as touching [m]: the rounding of positions within some metres
@@ -72,13 +74,14 @@ ANY_BODY = Morphology()  # no constraints
 class Drawn:
     """Designs that a morphology allows, and the number of samples drawn for them."""
 
-    table: DesignTable  # (n_designs, N_COLUMNS) accepted designs
+    table: DesignTable  # (n_designs, n_columns) accepted designs
     n_draws: Int64  # (n_designs,) samples drawn for each design: n_draws - 1 were rejected
+    controller: str = OPEN_LOOP  # of the designs
 
     @property
     def designs(self) -> Designs:
         """Accepted designs."""
-        return Designs.from_table(self.table)
+        return Designs.from_table(self.table, self.controller)
 
 
 def links_apart(designs: Designs) -> Bools:
@@ -111,7 +114,7 @@ def apart_in_gait(designs: Designs) -> Bools:
     n = len(designs)
     each = designs[np.repeat(np.arange(n), N_INSTANTS)]
     periods = np.tile(np.arange(N_INSTANTS) / N_INSTANTS, n)[:, None]
-    turned = np.where(each.motor_on, swing(gaits_of(each), periods, sine), 0.0)
+    turned = np.where(each.motor_on, swing(each, periods), 0.0)
     apart = links_apart(replace(each, rest_angle=each.rest_angle + turned)).reshape(n, N_INSTANTS)
     return np.asarray(apart.all(axis=1))
 
@@ -142,17 +145,19 @@ def sample_allowed(
     *,
     max_draws: int = MAX_DRAWS,
     otherwise: DesignTable | None = None,
+    controller: str = OPEN_LOOP,
 ) -> Drawn:
     """Return designs, sampled until the morphology allows all of them.
 
     In each round every remaining design gets twice as many samples as before; the first that is allowed is accepted.
 
     Args:
-        first: (n_designs, N_COLUMNS) first sample of each design.
+        first: (n_designs, n_columns) first sample of each design.
         draw: returns a sample for each index that it is given; an index may be repeated.
         morphology: constraints on designs.
         max_draws: most samples per design.
-        otherwise: (n_designs, N_COLUMNS) designs to return after that many rejections.
+        otherwise: (n_designs, n_columns) designs to return after that many rejections.
+        controller: of the designs.
 
     Raises:
         DesignError: all samples of a design were rejected, and ``otherwise`` is None.
@@ -160,12 +165,12 @@ def sample_allowed(
     n_designs = len(first)
     n_draws = np.ones(n_designs, dtype=np.int64)
     found, place = [first], np.arange(n_designs)
-    waiting = np.flatnonzero(~morphology.allows(Designs.from_table(first)))
+    waiting = np.flatnonzero(~morphology.allows(Designs.from_table(first, controller)))
     n_found, n_drawn, each = n_designs, 1, 1
     while waiting.size and n_drawn < max_draws:
         each = max(1, min(2 * each, MAX_BATCH // waiting.size, max_draws - n_drawn))
         drawn = draw(np.repeat(waiting, each))
-        allowed = morphology.allows(Designs.from_table(drawn)).reshape(waiting.size, each)
+        allowed = morphology.allows(Designs.from_table(drawn, controller)).reshape(waiting.size, each)
         lucky, chosen = allowed.any(axis=1), allowed.argmax(axis=1)
         n_draws[waiting] += np.where(lucky, chosen + 1, each)
         found.append(drawn[(np.arange(waiting.size) * each + chosen)[lucky]])
@@ -180,4 +185,4 @@ def sample_allowed(
         n_draws[waiting] += 1
         found.append(otherwise[waiting])
         place[waiting] = n_found + np.arange(waiting.size)
-    return Drawn(np.concatenate(found)[place], n_draws)
+    return Drawn(np.concatenate(found)[place], n_draws, controller)

@@ -9,6 +9,7 @@ Designs that a morphology does not allow are rejected and drawn anew. variation_
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -17,18 +18,9 @@ from pydantic import Field
 from tasks.arrays import Float64, Int64
 from tasks.compiled import compiled
 from tasks.design import variation_kernels
-from tasks.design.genes import (
-    GENE_OF_COLUMN,
-    GENES,
-    IS_IGNORED,
-    IS_PARENT,
-    N_COLUMNS,
-    N_GENES,
-    Designs,
-    DesignTable,
-    Gene,
-    GenePart,
-)
+from tasks.design.controllers import OPEN_LOOP
+from tasks.design.gene import GENES, DesignError, Gene, GenePart
+from tasks.design.genes import N_GENES, Designs, DesignTable, GeneTable, table_of
 from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, sample_allowed
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Variation
 from tasks.parameters import Parameters
@@ -38,7 +30,7 @@ class Mutation(Parameters):
     """Rates and step size of mutation."""
 
     genes_changed: float = Field(default=3.0, ge=0.0, le=N_GENES)
-    """Mean number of changed genes, of all numbers that describe a design: 37 in the paper's table."""
+    """Mean number of changed genes, of all numbers that describe a design: 37 with the paper's controller."""
     step: float = Field(default=0.1, ge=1e-6, le=1.0)
     """Standard deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
@@ -60,25 +52,29 @@ def variation_of(
     mutation: Mutation = _MUTATION,
     parts: tuple[GenePart, ...] = ("body", "control"),
     body: Designs | None = None,
+    controller: str = OPEN_LOOP,
 ) -> Variation:
-    """Return the argument of the kernels that describes variation.
+    """Return the argument of the kernels that describes variation of designs with a controller.
 
     Mutation may change some parts; ("control",) preserves bodies. All random designs get the body of one, if given.
     """
-    variation = _variation(morphology.n_actuated, mutation, parts)
+    variation = _variation(morphology.n_actuated, mutation, parts, table_of(controller))
     return variation if body is None else variation._replace(body=body.table)
 
 
 @cache
-def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart, ...]) -> Variation:
-    part = ["body" if gene is None else _part_of(gene, n_actuated) for gene in GENE_OF_COLUMN]
-    varies = [of in parts for of in part]
+def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart, ...], of: GeneTable) -> Variation:
+    part = ["body" if gene is None else _part_of(gene, n_actuated) for gene in of.gene_of_column]
+    varies = [of_column in parts for of_column in part]
+    no_body = np.zeros((0, len(part)))
+    no_body.flags.writeable = False  # as tables of designs are, or the kernels would be compiled once more
     return Variation(
-        body=Designs.from_table(np.zeros((0, N_COLUMNS))).table,
-        body_columns=np.flatnonzero([of == "body" for of in part]),
+        of=of.columns,
+        body=no_body,
+        body_columns=np.flatnonzero([of_column == "body" for of_column in part]),
         n_actuated=ANY_NUMBER if n_actuated is None else n_actuated,
-        columns=np.flatnonzero(varies & ~IS_PARENT & ~IS_IGNORED),
-        change=mutation.genes_changed / N_GENES,
+        columns=np.flatnonzero(varies & ~of.columns.is_parent & ~of.columns.is_ignored),
+        change=mutation.genes_changed / of.n_genes,
         step=mutation.step,
         rewiring=mutation.rewiring if "body" in parts else BODY_STAYS,
     )
@@ -102,6 +98,7 @@ class Sampler:
     rng: Generator
     variation: Variation
     morphology: Morphology  # constraints; a design that does not meet them is drawn anew
+    controller: str = OPEN_LOOP  # of the designs
 
     def random(self, n_designs: int, first: DesignTable | None = None) -> Drawn:
         """Draw random designs."""
@@ -147,12 +144,18 @@ class Sampler:
     ) -> Drawn:
         table = draw(np.arange(n_designs)) if first is None else first
         if self.morphology.rejects:
-            return sample_allowed(table, draw, self.morphology, max_draws=max_draws, otherwise=otherwise)
-        return Drawn(table, np.ones(n_designs, dtype=np.int64))
+            of = self.controller
+            return sample_allowed(table, draw, self.morphology, max_draws=max_draws, otherwise=otherwise, controller=of)
+        return Drawn(table, np.ones(n_designs, dtype=np.int64), self.controller)
 
 
 def random_designs(
-    n_designs: int, rng: Generator, *, body: Designs | None = None, morphology: Morphology = ANY_BODY
+    n_designs: int,
+    rng: Generator,
+    *,
+    body: Designs | None = None,
+    morphology: Morphology = ANY_BODY,
+    controller: str = OPEN_LOOP,
 ) -> Designs:
     """Return random designs, uniform within the genes' bounds and the morphology.
 
@@ -167,14 +170,15 @@ def random_designs(
         rng: source of randomness.
         body: one design whose body all designs get; only controllers are drawn then.
         morphology: constraints on designs.
+        controller: name of the designs' controller.
 
     Raises:
-        DesignError: the morphology can't be satisfied.
+        DesignError: the morphology can't be satisfied, or there is no such controller.
     """
     if not isinstance(n_designs, int | np.integer) or n_designs < 0:
         raise ValueError(f"n_designs: expected a number of designs, got {n_designs!r}")
     _check_source(rng)
-    return draw_random(n_designs, rng, body=body, morphology=morphology).designs
+    return draw_random(n_designs, rng, body=body, morphology=morphology, controller=controller).designs
 
 
 def _check_source(rng: Generator) -> None:
@@ -182,10 +186,13 @@ def _check_source(rng: Generator) -> None:
         raise ValueError(f"rng: expected a numpy.random.Generator, such as default_rng(seed=1), got {rng!r}")
 
 
-def draw_random(n_designs: int, rng: Generator, *, body: Designs | None, morphology: Morphology) -> Drawn:
+def draw_random(
+    n_designs: int, rng: Generator, *, body: Designs | None, morphology: Morphology, controller: str = OPEN_LOOP
+) -> Drawn:
     """Return random designs, and how many were drawn for each; see :func:`random_designs`."""
     constraints = morphology if body is None else morphology.of_controllers()
-    return Sampler(rng, variation_of(morphology, body=body), constraints).random(n_designs)
+    variation = variation_of(morphology, body=body, controller=controller)
+    return Sampler(rng, variation, constraints, controller).random(n_designs)
 
 
 def mutate(
@@ -198,9 +205,9 @@ def mutate(
 ) -> Designs:
     """Return copies of designs with some genes changed, at least one in each.
 
-    Intervals and angles take a Gaussian step, or are drawn anew; an interval is clipped, an angle wraps around. A flag
-    flips. Rewiring gives one link another parent and keeps its other genes. If the number of motors is given, a motor's
-    flag swaps with an opposite one instead: the motor moves to another joint.
+    Intervals and angles take a Gaussian step; an interval is clipped, an angle wraps around. A gain takes one, too, or
+    becomes 0. A flag flips. Rewiring gives one link another parent and keeps its other genes. If the number of motors
+    is given, a motor's flag swaps with an opposite one instead: the motor moves to another joint.
 
     >>> rng = np.random.default_rng(seed=1)
     >>> parents = puddle.random_designs(16, rng)
@@ -218,9 +225,9 @@ def mutate(
         DesignError: no mutant of a parent is within the morphology.
     """
     _check_source(rng)
-    variation = variation_of(morphology, mutation=mutation, parts=parts)
+    variation = variation_of(morphology, mutation=mutation, parts=parts, controller=designs.controller)
     constraints = morphology if "body" in parts else morphology.of_controllers()
-    return Sampler(rng, variation, constraints).mutants(designs.table).designs
+    return Sampler(rng, variation, constraints, designs.controller).mutants(designs.table).designs
 
 
 def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Designs:
@@ -243,9 +250,15 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
         rng: source of randomness.
         morphology: constraints on designs. After MAX_RECOMBINATIONS rejections a child gets the body of one and the
             controller of the other; where gaits are constrained, it is a copy of one. Both are allowed.
+
+    Raises:
+        DesignError: the designs have different controllers.
     """
     _check_source(rng)
-    return Sampler(rng, variation_of(morphology), morphology).recombinations((one.table, other.table)).designs
+    if one.controller != other.controller:
+        raise DesignError(f"designs: controllers {one.controller} and {other.controller}, expected one of both")
+    variation = variation_of(morphology, controller=one.controller)
+    return Sampler(rng, variation, morphology, one.controller).recombinations((one.table, other.table)).designs
 
 
 def motors_off(designs: Designs) -> Designs:
@@ -262,7 +275,7 @@ def jittered(designs: Designs, rng: Generator, shifts: Mapping[str, float | Floa
         shifts: how far, by the gene's name, in its unit: one number, or (n_designs, n_links).
     """
     bounds = {gene.name: (gene.low, gene.high) for gene in GENES}
-    moved = {}
+    moved: dict[str, Any] = {}
     for name, shift in shifts.items():
         value, (low, high) = getattr(designs, name), bounds[name]
         step = np.where(rng.random(value.shape[1:]) < 0.5, -1.0, 1.0) * shift

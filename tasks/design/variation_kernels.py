@@ -14,20 +14,21 @@ from numpy.random import Generator
 
 from tasks.arrays import Bools, Float64, Int64
 from tasks.compiled import inline
-from tasks.design import genes
-from tasks.design.genes import COLUMNS, N_COLUMNS, N_JOINTS, N_LINKS, DesignTable
+from tasks.design.genes import COLUMNS, N_JOINTS, N_LINKS, PARENT_COLUMN, ROOT_PARENT, DesignTable, GeneColumns
 
 MOTOR = "motor_on"
 MOTORS = COLUMNS[MOTOR].start + 1  # column of the first joint's motor, followed by those of the other joints
 
 ANY_NUMBER = -1  # number of motors that are on: unconstrained
+GAIN_OFF = 0.25  # deviations of a Gaussian step: 20 % of steps are smaller
 BODY_STAYS = -1.0  # stands for a probability of rewiring if bodies must not change
 
 
 class Variation(NamedTuple):
     """What may vary, and the rates of variation."""
 
-    body: DesignTable  # (1, N_COLUMNS) design whose body all designs get; (0, N_COLUMNS) if bodies vary
+    of: GeneColumns  # what the columns of the tables hold
+    body: DesignTable  # (1, n_columns) design whose body all designs get; (0, n_columns) if bodies vary
     body_columns: Int64  # columns of the body
     n_actuated: int  # number of motors that are on, or ANY_NUMBER
     columns: Int64  # columns that may change
@@ -37,25 +38,28 @@ class Variation(NamedTuple):
 
 
 def random_table(n_designs: int, rng: Generator, variation: Variation) -> DesignTable:
-    """Return (n_designs, N_COLUMNS) designs, uniform within the genes' bounds.
+    """Return (n_designs, n_columns) designs, uniform within the genes' bounds.
 
-    A motor is on with probability 1/2; if their number is given, all sets of joints are equally likely.
+    A motor is on with probability 1/2; if their number is given, all sets of joints are equally likely. A gain is 0
+    with probability 1/2.
     """
-    table = np.zeros((n_designs, N_COLUMNS))
-    for gene in range(len(genes.FIRST)):
+    of = variation.of
+    table = np.zeros((n_designs, len(of.low)))
+    for gene in range(len(of.first)):
         for design in range(n_designs):
-            for column in range(genes.FIRST[gene], genes.END[gene]):
+            for column in range(of.first[gene], of.end[gene]):
                 drawn = rng.random()
-                if genes.IS_IGNORED[column]:
+                if of.is_ignored[column] or (of.is_gain[column] and drawn < 0.5):
                     table[design, column] = 0.0  # designs that behave alike are equal
-                elif genes.IS_FLAG[column]:
+                elif of.is_flag[column]:
                     table[design, column] = 1.0 if drawn < 0.5 else 0.0
                 else:
-                    table[design, column] = genes.LOW[column] + (genes.HIGH[column] - genes.LOW[column]) * drawn
-    table[:, genes.PARENT_COLUMN] = genes.ROOT_PARENT
+                    share = 2.0 * drawn - 1.0 if of.is_gain[column] else drawn
+                    table[design, column] = of.low[column] + (of.high[column] - of.low[column]) * share
+    table[:, PARENT_COLUMN] = ROOT_PARENT
     for link in range(1, N_LINKS):
         for design in range(n_designs):
-            table[design, genes.PARENT_COLUMN + link] = rng.integers(0, link)
+            table[design, PARENT_COLUMN + link] = rng.integers(0, link)
     if variation.n_actuated != ANY_NUMBER:
         for design in range(n_designs):
             _switch_on_highest(table[design, MOTORS : MOTORS + N_JOINTS], rng.random(N_JOINTS), variation.n_actuated)
@@ -95,7 +99,7 @@ def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> No
                 column = columns[number]
                 if changes[design, number]:
                     old, step = table[design, column], steps[design, number]
-                    table[design, column] = _stepped(column, old, step * variation.step)
+                    table[design, column] = _stepped(column, old, step, variation)
                 is_same[design] &= table[design, column] == before[design, column]
             n_same += is_same[design]
         if n_same == 0:
@@ -110,13 +114,16 @@ def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> No
 
 
 @inline
-def _stepped(column: int, old: float, by: float) -> float:
-    """Move a number by a share of its gene's range, and return it to its bounds."""
-    low, high = float(genes.LOW[column]), float(genes.HIGH[column])
-    if genes.IS_FLAG[column]:
+def _stepped(column: int, old: float, step: float, variation: Variation) -> float:
+    """Move a number by a share of its gene's range, and return it to its bounds; a small step turns a gain off."""
+    of = variation.of
+    low, high = float(of.low[column]), float(of.high[column])
+    if of.is_flag[column]:
         return 1.0 - old
-    moved = old + by * (high - low)
-    if genes.IS_ANGLE[column]:
+    if of.is_gain[column] and old != 0.0 and abs(step) < GAIN_OFF:
+        return 0.0
+    moved = old + step * variation.step * (high - low)
+    if of.is_angle[column]:
         moved = low + (moved - low) % (high - low)
     # The remainder may round to the angle's end.
     return min(max(moved, low), high)
@@ -149,7 +156,7 @@ def _rewire(table: DesignTable, rng: Generator, probability: float) -> None:
     for design in range(n_designs):
         if chosen[design] < probability:
             other = np.floor(share[design] * (link[design] - 1))
-            column = genes.PARENT_COLUMN + link[design]
+            column = PARENT_COLUMN + link[design]
             table[design, column] = other + (other >= table[design, column])  # skips its parent
 
 
@@ -172,8 +179,8 @@ def recombine_tables(child: DesignTable, other: DesignTable, rng: Generator, var
         motors = child[design, MOTORS : MOTORS + N_JOINTS]
         for joint in range(N_JOINTS):
             on_in[joint] = motors[joint] + other[design, MOTORS + joint]
-        for column in range(N_COLUMNS):
-            if not stays[design, genes.LINK_OF_COLUMN[column]]:
+        for column in range(child.shape[1]):
+            if not stays[design, variation.of.link[column]]:
                 child[design, column] = other[design, column]
         if variation.n_actuated != ANY_NUMBER:
             # 3: on in both parents, 2: inherited, 1: on in the other parent, 0: off in both; ties are random.

@@ -25,6 +25,7 @@ from tasks.evolution.search import (
     Population,
     Search,
     SearchName,
+    empty_population,
     register_search,
     require_search,
 )

@@ -11,7 +11,8 @@ from pydantic import Field, model_validator
 
 from tasks.arrays import Int64
 from tasks.design import ANY_BODY, Designs, Morphology, Mutation
-from tasks.design.genes import DesignTable, GenePart
+from tasks.design.gene import GenePart
+from tasks.design.genes import DesignTable
 from tasks.design.variation import Sampler, mutate_kernel, random_kernel, recombine_kernel, variation_of
 from tasks.evolution.search import NO_PARENT, Children, Population
 from tasks.parameters import Parameters
@@ -62,7 +63,9 @@ class Breeding(Parameters):
         """
         n_children, n_parents = self.population_size, len(population.fitness)
         parts: tuple[GenePart, ...] = ("body", "control") if body is None else ("control",)
-        variation = variation_of(morphology, mutation=self.mutation, parts=parts, body=body)
+        variation = variation_of(
+            morphology, mutation=self.mutation, parts=parts, body=body, controller=population.controller
+        )
 
         # Every child draws a random design and two parents, whether its operator needs them or not.
         chance = rng.random(n_children)
@@ -91,10 +94,12 @@ class Breeding(Parameters):
             operator=operator,
             parents=np.append(population.identity, NO_PARENT)[parent],  # NO_PARENT is the index of what is appended
             n_draws=np.ones(n_children, dtype=np.int64),
+            controller=population.controller,
         )
         constraints = morphology if body is None else morphology.of_controllers()
         if constraints.rejects:
-            _resample_rejected(children, population.table, parent, Sampler(rng, variation, constraints))
+            sampler = Sampler(rng, variation, constraints, population.controller)
+            _resample_rejected(children, population.table, parent, sampler)
         return children, parent
 
 

@@ -12,18 +12,22 @@ import numpy as np
 from numpy.random import Generator
 from pydantic import Field
 
-from tasks.arrays import Float64, Int64
-from tasks.design import ANY_BODY, Designs, Morphology, genes
-from tasks.design.genes import REALS, DesignTable
+from tasks.arrays import Bools, Float64, Int64
+from tasks.design import ANY_BODY, Designs, Morphology
+from tasks.design.genes import DesignTable, table_of
 from tasks.design.morphology import sample_allowed
 from tasks.design.variation import MAX_RECOMBINATIONS, draw_random
 from tasks.evolution.objectives import Evaluation
 from tasks.evolution.search import Arrays, Children, Population, Search, register_search, without_parents
 from tasks.parameters import Parameters
 
-_CONTROLLER = np.array([gene is not None and gene.part == "control" for gene in genes.GENE_OF_COLUMN])
-X = np.flatnonzero((_CONTROLLER & ~genes.IS_FLAG)[REALS])  # where a vector has x
-IS_ANGLE = genes.IS_ANGLE[REALS[X]]
+
+def x_of(controller: str) -> tuple[Int64, Bools]:
+    """Return where the vector of a design has x, the numbers of its controller, and which of them are angles."""
+    of = table_of(controller)
+    varies = [gene is not None and gene.part == "control" and gene.kind != "flag" for gene in of.gene_of_column]
+    x = np.flatnonzero(np.array(varies)[of.reals])
+    return x, of.columns.is_angle[of.reals[x]]
 
 
 class CmaEs(Parameters):
@@ -43,36 +47,45 @@ class CmaEs(Parameters):
         """Return random designs first, then samples of the distribution around its mean (5)."""
         state, n_children = population.extra, self.population_size
         if not state:
-            return without_parents(population, draw_random(n_children, rng, body=body, morphology=morphology))
+            drawn = draw_random(n_children, rng, body=body, morphology=morphology, controller=population.controller)
+            return without_parents(population, drawn)
         D, B = _principal_axes(state["C"])
 
         def draw(which: Int64) -> DesignTable:
-            x = state["m"] + state["sigma"] * (rng.standard_normal((len(which), len(X))) * D) @ B.T
-            return _with_controllers(population.table, x)
+            x = state["m"] + state["sigma"] * (rng.standard_normal((len(which), len(D))) * D) @ B.T
+            return _with_controllers(population.designs, x)
 
         first, otherwise = draw(np.arange(n_children)), np.repeat(population.table, n_children, axis=0)
         constraints = morphology.of_controllers()
-        drawn = sample_allowed(first, draw, constraints, max_draws=MAX_RECOMBINATIONS, otherwise=otherwise)
+        drawn = sample_allowed(
+            first,
+            draw,
+            constraints,
+            max_draws=MAX_RECOMBINATIONS,
+            otherwise=otherwise,
+            controller=population.controller,
+        )
         return without_parents(population, drawn, operator=1)
 
     def tell(self, population: Population, children: Children, evaluation: Evaluation, rng: Generator) -> Population:
         """Return the best design so far, and the distribution moved towards the better half of the children."""
-        fitness, x = evaluation.fitness, children.designs.to_vector()[:, X]
-        best, zero = [int(fitness.argmax())], np.zeros(len(X))
+        places, is_angle = x_of(population.controller)
+        fitness, x = evaluation.fitness, children.designs.to_vector()[:, places]
+        best, n = [int(fitness.argmax())], len(places)
         after = population._replace(n_evaluated=population.n_evaluated + self.population_size)
         if population.extra:
-            after = after._replace(extra=self._moved(after, x[np.argsort(-fitness, kind="stable")]))
+            after = after._replace(extra=self._moved(after, x[np.argsort(-fitness, kind="stable")], is_angle))
         elif np.isfinite(fitness[best]):
-            first = {"m": x[best[0]], "sigma": np.array([self.step]), "C": np.eye(len(X)), "p_sigma": zero, "p_c": zero}
-            after = after._replace(extra=first)
+            first = {"m": x[best[0]], "sigma": np.array([self.step]), "C": np.eye(n)}
+            after = after._replace(extra={**first, "p_sigma": np.zeros(n), "p_c": np.zeros(n)})
         if fitness[best] > population.fitness.max(initial=-np.inf):
             after = after._replace(table=children.table[best], fitness=fitness[best], identity=children.identity[best])
         return after
 
-    def _moved(self, population: Population, ranked: Float64) -> Arrays:
+    def _moved(self, population: Population, ranked: Float64, is_angle: Bools) -> Arrays:
         """Return the distribution after a generation, whose (λ, n) samples are ranked, the fittest first."""
         m, sigma, C, p_sigma, p_c = (population.extra[name] for name in ("m", "sigma", "C", "p_sigma", "p_c"))
-        n, mu = len(X), self.population_size // 2
+        n, mu = len(m), self.population_size // 2
         w = np.log((self.population_size + 1) / 2) - np.log(np.arange(1, mu + 1))  # (49)
         w /= w.sum()
         mu_eff = 1 / (w**2).sum()  # (8)
@@ -85,14 +98,17 @@ class CmaEs(Parameters):
         D, B = _principal_axes(C)
 
         y = ranked[:mu] - m
-        y = np.where(IS_ANGLE, (y + 0.5) % 1 - 0.5, y) / sigma  # the short way around
+        y = np.where(is_angle, (y + 0.5) % 1 - 0.5, y) / sigma  # the short way around
         y_w = w @ y  # (41)
         p_sigma = (1 - c_sigma) * p_sigma + np.sqrt(c_sigma * (2 - c_sigma) * mu_eff) * B @ (B.T @ y_w / D)  # (43)
         length, generation = np.sqrt((p_sigma**2).sum()), population.n_evaluated // self.population_size - 1
         h = length / np.sqrt(1 - (1 - c_sigma) ** (2 * generation)) < (1.4 + 2 / (n + 1)) * norm  # the step is short
         p_c = (1 - c_c) * p_c + h * np.sqrt(c_c * (2 - c_c) * mu_eff) * y_w  # (45)
         C = (1 - c_1 - c_mu + (1 - h) * c_1 * c_c * (2 - c_c)) * C + c_1 * np.outer(p_c, p_c) + c_mu * (y.T * w) @ y
-        m, sigma = _folded(m + sigma * y_w), sigma * np.exp(c_sigma / d_sigma * (length / norm - 1))  # (42), (44)
+        m, sigma = (
+            _folded(m + sigma * y_w, is_angle),
+            sigma * np.exp(c_sigma / d_sigma * (length / norm - 1)),
+        )  # (42), (44)
         return {"m": m, "sigma": sigma, "C": C, "p_sigma": p_sigma, "p_c": p_c}
 
 
@@ -105,13 +121,14 @@ def _principal_axes(C: Float64) -> tuple[Float64, Float64]:
     return np.sqrt(np.maximum(variances, 1e-20)), B
 
 
-def _folded(x: Float64) -> Float64:
-    return np.where(IS_ANGLE, x % 1, 1 - np.abs(1 - x % 2))
+def _folded(x: Float64, is_angle: Bools) -> Float64:
+    return np.where(is_angle, x % 1, 1 - np.abs(1 - x % 2))
 
 
-def _with_controllers(body: DesignTable, x: Float64) -> DesignTable:
-    """Return (n_designs, N_COLUMNS) designs with the body and motors of one and the controllers (n_designs, n) x."""
-    vector, table = (np.repeat(each, len(x), axis=0) for each in (Designs.from_table(body).to_vector(), body))
-    vector[:, X] = _folded(x)
-    table[:, REALS[X]] = Designs.from_vector(vector).table[:, REALS[X]]
+def _with_controllers(body: Designs, x: Float64) -> DesignTable:
+    """Return (n_designs, n_columns) designs with the body and motors of one and the controllers (n_designs, n) x."""
+    (places, is_angle), reals = x_of(body.controller), table_of(body.controller).reals
+    vector, table = (np.repeat(each, len(x), axis=0) for each in (body.to_vector(), body.table))
+    vector[:, places] = _folded(x, is_angle)
+    table[:, reals[places]] = Designs.from_vector(vector, body.controller).table[:, reals[places]]
     return table

@@ -16,7 +16,6 @@ from pydantic import Field
 
 from tasks.arrays import Float64
 from tasks.design import ANY_BODY, Designs, Morphology, rest_pose
-from tasks.design.genes import N_COLUMNS
 from tasks.evolution.breeding import Breeding
 from tasks.evolution.objectives import Evaluation
 from tasks.evolution.search import Children, Population, Search, register_search, require_search
@@ -48,14 +47,15 @@ class MapElites(Breeding):
 
     def tell(self, population: Population, children: Children, evaluation: Evaluation, rng: Generator) -> Population:
         """Return the elites, by cell: a child that is fitter than its cell's elite replaces it."""
-        archive = self._archive()
+        archive = self._archive(population.table.shape[1])
         finite = np.isfinite(evaluation.fitness)
         for table, fitness, identity in (
             (population.table, population.fitness, population.identity),
             (children.table[finite], evaluation.fitness[finite], children.identity[finite]),
         ):
             if len(table):
-                archive.add(table, fitness, measure_bodies(Designs.from_table(table)), identity=identity)
+                designs = Designs.from_table(table, population.controller)
+                archive.add(table, fitness, measure_bodies(designs), identity=identity)
         elites = archive.data()
         order = np.argsort(elites["index"])
         return Population(
@@ -66,12 +66,12 @@ class MapElites(Breeding):
             extra={CELL: archive.int_to_grid_index(elites["index"][order]).astype(np.int64)},
         )
 
-    def _archive(self) -> GridArchive:
+    def _archive(self, n_columns: int) -> GridArchive:
         require_search("map_elites")
         from ribs.archives import GridArchive  # takes seconds to import, and is an extra
 
         fields = {"identity": ((), np.int64)}
-        return GridArchive(solution_dim=N_COLUMNS, dims=self.cells, ranges=[*MEASURES.values()], extra_fields=fields)
+        return GridArchive(solution_dim=n_columns, dims=self.cells, ranges=[*MEASURES.values()], extra_fields=fields)
 
 
 register_search(Search("map_elites", MapElites, package="ribs"))

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.arrays import Float64, Int64
-from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.design.genes import DTYPES, N_COLUMNS, DesignTable
+from tasks.design import ANY_BODY, OPEN_LOOP, Designs, Morphology
+from tasks.design.genes import DesignTable, table_of
 from tasks.design.morphology import Drawn
 from tasks.discovery import register
 from tasks.evolution.objectives import Evaluation
@@ -38,11 +38,12 @@ class Population(NamedTuple):
     identity: Int64  # (n_designs,) running number within the trial, in order of evaluation
     n_evaluated: int  # designs evaluated in the trial so far
     extra: Arrays = MappingProxyType({})  # whatever else the search needs to go on, of any shape
+    controller: str = OPEN_LOOP  # of the designs; a trial sees to it, whatever a search returns
 
     @property
     def designs(self) -> Designs:
         """The n_designs designs."""
-        return Designs.from_table(self.table)
+        return Designs.from_table(self.table, self.controller)
 
     def champion(self) -> int:
         """Return the index of the fittest design, the first among equals."""
@@ -61,34 +62,42 @@ class Population(NamedTuple):
     @staticmethod
     def from_arrays(arrays: Arrays) -> Population:
         """Restore a state from its named arrays."""
-        own = {*DTYPES, "fitness", "identity", "n_evaluated"}
+        designs = Designs.from_arrays(arrays)
+        own = {*dict(designs.arrays()), "fitness", "identity", "n_evaluated"}
         return Population(
-            table=Designs.from_arrays(arrays).table,
+            table=designs.table,
             fitness=arrays["fitness"],
             identity=arrays["identity"],
             n_evaluated=int(arrays["n_evaluated"][0]),
             extra={name: array for name, array in arrays.items() if name not in own},
+            controller=designs.controller,
         )
 
 
-EMPTY_POPULATION = Population(np.zeros((0, N_COLUMNS)), np.zeros(0), np.zeros(0, dtype=np.int64), n_evaluated=0)
-"""The population before the first generation."""
+def empty_population(controller: str) -> Population:
+    """Return the population before the first generation of designs with a controller."""
+    table = np.zeros((0, len(table_of(controller).gene_of_column)))
+    return Population(table, np.zeros(0), np.zeros(0, dtype=np.int64), n_evaluated=0, controller=controller)
+
+
+EMPTY_POPULATION = empty_population(OPEN_LOOP)
 
 
 class Children(NamedTuple):
     """Designs that wait to be evaluated; axis 0 is the child."""
 
-    table: DesignTable  # genes (n_children, N_COLUMNS)
+    table: DesignTable  # genes (n_children, n_columns)
     identity: Int64  # (n_children,) running number within the trial
     operator: Int64  # (n_children,) index into the search's operators
     parents: Int64  # (n_children, 2) identities of the parents, or NO_PARENT
     n_draws: Int64  # (n_children,) draws of the operator until the morphology allowed the design
     extra: Arrays = MappingProxyType({})  # further columns of the history, those that the search names
+    controller: str = OPEN_LOOP  # of the designs; as in a population
 
     @property
     def designs(self) -> Designs:
         """The n_children designs."""
-        return Designs.from_table(self.table)
+        return Designs.from_table(self.table, self.controller)
 
 
 def without_parents(population: Population, drawn: Drawn, operator: int = 0) -> Children:
@@ -100,6 +109,7 @@ def without_parents(population: Population, drawn: Drawn, operator: int = 0) -> 
         operator=np.full(n_children, operator),
         parents=np.full((n_children, 2), NO_PARENT),
         n_draws=drawn.n_draws,
+        controller=population.controller,
     )
 
 
@@ -119,7 +129,7 @@ class Optimiser(Protocol):
         """Return a generation of children, numbered from ``population.n_evaluated``.
 
         Args:
-            population: what it knows so far; it begins if this has no designs.
+            population: what it knows so far; it begins if this has no designs. New ones get its controller.
             rng: source of randomness.
             body: one design whose body all children get; only controllers vary then.
             morphology: constraints on designs.

@@ -79,13 +79,16 @@ def evolve(
     generations: list[list[_Generation]] = [[] for _ in trials]
     for rngs in zip(*generators, strict=True):
         asked = [
-            search.ask(population, rng, body=trial.body, morphology=morphology)
+            search.ask(population, rng, body=trial.body, morphology=morphology)._replace(
+                controller=population.controller
+            )
             for trial, population, rng in zip(trials, populations, rngs, strict=True)
         ]
-        designs = Designs.from_table(np.concatenate([children.table for children in asked]))
+        designs = Designs.concatenate([children.designs for children in asked])
         evaluations = _split_by_trial(evaluate(designs), asked)
         for i, (children, evaluation, rng) in enumerate(zip(asked, evaluations, rngs, strict=True)):
-            populations[i] = search.tell(populations[i], children, evaluation, rng)
+            told = search.tell(populations[i], children, evaluation, rng)
+            populations[i] = told._replace(controller=children.controller)
             generations[i].append((children, evaluation, populations[i]))
     return [
         (after, _record(search, first_generation, past)) for after, past in zip(populations, generations, strict=True)
@@ -101,7 +104,7 @@ def _split_by_trial(evaluation: Evaluation, asked: Sequence[Children]) -> list[E
 def _record(search: Optimiser, first_generation: int, generations: Sequence[_Generation]) -> History:
     asked, evaluations, kept = zip(*generations, strict=True)
     n_children = [len(children.identity) for children in asked]
-    designs = Designs.from_table(np.concatenate([children.table for children in asked]))
+    designs = Designs.concatenate([children.designs for children in asked])
     columns = {
         "generation": [np.repeat(np.arange(first_generation, first_generation + len(asked)), n_children)],
         **{name: [getattr(children, name) for children in asked] for name in ("identity", "operator")},

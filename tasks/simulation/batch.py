@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simd.lanes import widest
-from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion, Scene
+from tasks.simulation.box2d import Motion, Scene, top_of_ground
 from tasks.simulation.controller import fastest
 from tasks.simulation.fluids import is_compiled
 from tasks.simulation.networks.inference import PackedNetworks
@@ -29,7 +29,7 @@ def scene_of(environment: Environment, physics: Physics) -> Scene:
         dt=dt,
         dt_ratio=(single(1) / dt) * dt,
         fall=dt * single(-physics.gravity),
-        ground=single(GROUND_HALF_HEIGHT) + single(-environment.depth - GROUND_HALF_HEIGHT),
+        ground=top_of_ground(environment.depth),
         friction=np.sqrt(friction * friction),
         restitution=single(physics.restitution),
         motor_gain=single(physics.motor_gain),
@@ -74,7 +74,8 @@ def roll_out(
     if _needs_rigid_bodies(physics):
         robots = Robots(designs, environment.depth, physics, medium, n_members=n_members)
     else:
-        robots = Groups(designs, physics, medium, n_members=n_members, n_lanes=n_lanes or widest())
+        n_lanes = n_lanes or widest()
+        robots = Groups(designs, environment.depth, physics, medium, n_members=n_members, n_lanes=n_lanes)
     scene = scene_of(environment, physics)
     n_steps = n_settle + n_measure
     shape = (n_members, len(designs))

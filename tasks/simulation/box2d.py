@@ -57,6 +57,11 @@ def limited(vx: Numeric, vy: Numeric, omega: Numeric, dt: np.float32) -> tuple[N
     return vx, vy, omega
 
 
+def top_of_ground(depth: float) -> np.float32:
+    """Return the height of the ground's top [m], as Box2D's rounding leaves it."""
+    return np.float32(GROUND_HALF_HEIGHT) + np.float32(-depth - GROUND_HALF_HEIGHT)
+
+
 class Column:
     """Columns of a link's state: x, y [m], angle [rad], vx, vy [m/s], omega [rad/s]."""
 

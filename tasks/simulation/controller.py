@@ -1,7 +1,7 @@
-"""The controller: target angle of each joint's motor in each step. Paper, "Evolutionary Design".
+"""Controllers in the engines: what a joint senses, and the speed of its motor. Paper, "Evolutionary Design".
 
-The target θ* is that of the gait (tasks/design/gait.py). The motor's speed is gain · (θ* - θ), within the limit
-``physics.max_motor_speed``.
+The target θ* is the joint's rest angle and the angle of the controller's law (tasks/design/controllers). The motor's
+speed is gain · (θ* - θ), within the limit ``physics.max_motor_speed``.
 
 Both engines must agree on θ* to the last bit, and platforms differ in the last bit of their sine. So the sine here is a
 polynomial in single precision. Its argument is in turns, so that whole turns are subtracted without rounding.
@@ -9,17 +9,17 @@ polynomial in single precision. Its argument is in turns, so that whole turns ar
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from tasks.arrays import Bools, Float32
 from tasks.compiled import formula
-from tasks.design.gait import gaits_of, swing
+from tasks.design.controllers import Joint, controller_named
+from tasks.design.gait import joints_of
 from tasks.design.genes import Designs
 from tasks.simd.lanes import Numeric, floor, select
+from tasks.simulation.box2d import TOTAL_RADIUS, Column, top_of_ground
 from tasks.world.physics import Physics
+from tasks.world.slush import lowest_corner, submerged_part
 
 _QUARTER, _HALF = np.float32(0.25), np.float32(0.5)
 _C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in (6.283185, -41.341656, 81.601, -76.54965, 39.535793))
@@ -37,9 +37,25 @@ def sine_of_turns(turns: Numeric) -> Numeric:
 
 
 @formula
-def target_angle(gait: Any, rest_angle: Numeric, periods: Numeric) -> Numeric:
-    """Return the target angles of joints, by f t, time in periods of their gaits [rad]."""
-    return rest_angle + swing(gait, periods, sine_of_turns)
+def sensing(
+    joint: Joint,
+    angle: Numeric,
+    speed: Numeric,
+    length: Numeric,
+    y: Numeric,
+    cos: Numeric,
+    sin: Numeric,
+    spin: Numeric,
+    ground: Numeric,
+) -> Joint:
+    """Return a joint that also senses itself, its link's state, and ground whose top is at a height.
+
+    A link of 1 m² is in contact where Box2D makes contact points: within the skins of both polygons.
+    """
+    wet, _ = submerged_part(length, y, cos, sin)
+    contact = select(lowest_corner(length, y, cos, sin) <= ground + TOTAL_RADIUS, 1.0, 0.0)
+    periods, amplitude, phase, gains, dt, memory, memory_above = joint[:7]
+    return Joint(periods, amplitude, phase, gains, dt, memory, memory_above, angle, speed, cos, sin, spin, wet, contact)
 
 
 @formula
@@ -55,29 +71,49 @@ def fastest(physics: Physics) -> np.float32:
     return np.float32(np.inf if physics.max_motor_speed is None else physics.max_motor_speed)
 
 
-@dataclass(frozen=True, eq=False)
 class Controllers:
-    """Controllers of designs, rounded once to the engines' precision."""
+    """Controllers of designs in a rollout of an engine in NumPy, in its precision, with what they remember."""
 
-    frequency: Float32  # (n_designs, 1) [Hz]
-    gait: Float32  # (N_NUMBERS, n_designs, n_links) numbers of tasks.design.gait
-    rest_angle: Float32  # (n_designs, n_links) [rad]
-    motor_on: Bools  # (n_designs, n_links); False for the root, which has no joint
-
-    @staticmethod
-    def of(designs: Designs) -> Controllers:
-        """Return the controllers of designs."""
+    def __init__(self, designs: Designs, physics: Physics, depth: float) -> None:
+        """Begin without memories; ``physics.time_step`` is the time between two targets."""
         single = np.float32
         jointed = np.arange(designs.parent.shape[1]) > 0
-        return Controllers(
-            frequency=designs.frequency[:, None].astype(single),
-            gait=gaits_of(designs).astype(single),
-            rest_angle=designs.rest_angle.astype(single),
-            motor_on=designs.motor_on & jointed,
+        self.motor_on: Bools = designs.motor_on & jointed  # (n_designs, n_links); False for the root, without a joint
+        self.controller = controller_named(designs.controller)
+        self._jointed, self._parent = jointed, np.maximum(designs.parent, 0)
+        self._frequency, self._rest, self._length = (
+            array.astype(single) for array in (designs.frequency[:, None], designs.rest_angle, designs.length_scale)
         )
+        self._dt, self._ground = single(physics.time_step), top_of_ground(depth)
+        amplitude, phase, gains = (array.astype(single) for array in joints_of(designs, designs.frequency)[1:4])
+        self._joint = Joint(None, amplitude, phase, gains, self._dt, memory=single(0), memory_above=single(0))
 
-    def target_angle(self, step: int, time_step: float) -> Float32:
-        """Compute the target angles between child and parent in a step; (n_designs, n_links) [rad]."""
-        time = np.float32(step) * np.float32(time_step)
-        angle: Float32 = target_angle(self.gait, self.rest_angle, self.frequency * time)
-        return angle
+    def target_angle(self, step: int, state: Float32, cos: Float32, sin: Float32) -> Float32:
+        """Return the target angles between child and parent in a step; (n_members, n_designs, n_links) [rad].
+
+        Args:
+            step: number of the step; the next call is of the next step.
+            state: (n_members, n_designs, n_links, 6) states of the links.
+            cos: (n_members, n_designs, n_links) cosines of their angles.
+            sin: sines of the same angles.
+        """
+        joint = self._joint._replace(periods=self._frequency * (np.float32(step) * self._dt))
+        if self.controller.senses:
+            angle, omega, y = (state[..., column] for column in (Column.ANGLE, Column.OMEGA, Column.Y))
+            turned, speed = self.less_parent(angle) - self._rest, self.less_parent(omega)
+            joint = sensing(joint, turned, speed, self._length, y, cos, sin, omega, self._ground)
+        with np.errstate(invalid="ignore", over="ignore"):  # of robots that have diverged
+            angle = self.controller.law(joint, sine_of_turns)
+        if self.controller.remembers:
+            angle, memory = angle
+            memory = np.where(self._jointed, memory, np.float32(0))
+            self._joint = self._joint._replace(memory=memory, memory_above=self._of_parent(memory))
+        target: Float32 = self._rest + np.broadcast_to(angle, state.shape[:-1])
+        return target
+
+    def less_parent(self, quantity: Float32) -> Float32:
+        """Return an angle or angular velocity of each link less its parent's; (..., n_links), of the root 0."""
+        return quantity - self._of_parent(quantity)
+
+    def _of_parent(self, quantity: Float32) -> Float32:
+        return np.take_along_axis(quantity, np.broadcast_to(self._parent, quantity.shape), axis=-1)

@@ -42,17 +42,29 @@ class Links(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A fluid as the kernel of an engine takes it."""
+    """A fluid, or controllers, as the kernel of an engine takes it."""
 
-    address: Any  # of the fluid's own kernel; 0 for none
-    factors: Block  # what its law needs, a row each, group after group of robots if it differs between them
+    address: Any  # of its own kernel; 0 for none
+    factors: Block  # what the law needs, a row each, group after group of robots if it differs between them
     stride: int = 0  # rows from a group's factors to the next one's
 
 
+class Acting(NamedTuple):
+    """What acts at the start of a step."""
+
+    motors: Push  # the robots' controller (tasks/simulation/motors.py)
+    fluid: Push
+
+
 @inline
-def of_group(fluid: Push, group: int) -> Push:
-    """Return a fluid as a group of robots and those after it take it."""
-    return Push(fluid.address, from_row(fluid.factors, group * fluid.stride), fluid.stride)
+def _from_group(push: Push, group: int) -> Push:
+    return Push(push.address, from_row(push.factors, group * push.stride), push.stride)
+
+
+@inline
+def of_group(acting: Acting, group: int) -> Acting:
+    """Return what acts on a group of robots and those after it."""
+    return Acting(_from_group(acting.motors, group), _from_group(acting.fluid, group))
 
 
 class Rows(NamedTuple):

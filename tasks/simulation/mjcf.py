@@ -10,7 +10,6 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from tasks.design.body import kinematic_trees
-from tasks.design.gait import TURN, gaits_of
 from tasks.design.genes import N_LINKS, Designs
 from tasks.world.physics import Physics
 
@@ -26,7 +25,6 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None) -> str:
     """
     physics = physics or Physics()
     trees = kinematic_trees(design, density=physics.link_density)
-    gaits = gaits_of(design)[:, 0]
     model = Xml.Element("mujoco", model="puddle")
     Xml.SubElement(model, "compiler", angle="radian")
     Xml.SubElement(
@@ -75,8 +73,7 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None) -> str:
             motor = {"kp": _number(physics.motor_gain * slope), "kv": _number(slope)}
             motor |= {"joint": f"joint-{link}", "forcelimited": "true", "forcerange": _numbers(-torque, torque)}
             Xml.SubElement(actuators, "position", motor, name=f"motor-{link}")
-            amplitude, phase = gaits[:, link]
-            gait = _numbers(rest, amplitude, design.frequency[0], TURN * phase)
+            gait = _numbers(rest, design.motion_range[0, link], design.frequency[0], design.phase[0, link])
             Xml.SubElement(custom, "numeric", name=f"gait-{link}", data=gait)
     Xml.indent(model)
     return Xml.tostring(model, encoding="unicode") + "\n"

@@ -14,7 +14,7 @@ import numpy as np
 from tasks.arrays import Float32, Float64
 from tasks.design.body import kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation.box2d import Motion
+from tasks.simulation.box2d import Column, Motion
 from tasks.simulation.conditions import Conditions
 from tasks.simulation.controller import Controllers
 from tasks.simulation.mjcf import LONGEST_STEP, mjcf
@@ -100,7 +100,8 @@ def roll_out(
         for _ in range(shape[0])
         for k in range(len(designs))
     ]
-    controllers, trees = Controllers.of(designs), kinematic_trees(designs, density=physics.link_density)
+    controllers = Controllers(designs, physics, environment.depth)
+    trees = kinematic_trees(designs, density=physics.link_density)
     length, mass, inertia = (
         np.broadcast_to(of.astype(np.float32), shape) for of in (designs.length_scale, trees.mass, trees.inertia)
     )
@@ -125,10 +126,9 @@ def roll_out(
     settled = halfway = state
     n_steps = n_settle + n_measure
     for step in range(n_steps * shorter.n_substeps):
-        force, targets = forces(state), controllers.target_angle(step, physics.time_step)
-        done = [
-            robot.step(targets[k % len(designs)], None if force is None else force[k]) for k, robot in enumerate(robots)
-        ]
+        cos, sin = np.cos(state[..., Column.ANGLE]), np.sin(state[..., Column.ANGLE])
+        force, targets = forces(state), controllers.target_angle(step, state, cos, sin).reshape(-1, N_LINKS)
+        done = [robot.step(targets[k], None if force is None else force[k]) for k, robot in enumerate(robots)]
         state = states()
         if step >= n_settle * shorter.n_substeps:
             work += done

@@ -148,7 +148,7 @@ def roll_out(
     n_members, n_designs, n_steps = environment.n_members, len(designs), n_settle + n_measure
     trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
-    controllers = Controllers.of(designs)
+    controllers = Controllers(designs, physics, environment.depth)
     robots = [
         _Robot(trees, rigid, design, controllers, environment.depth, physics)
         for _ in range(n_members)
@@ -163,7 +163,7 @@ def roll_out(
     settled = halfway = placed.state
     medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None
     for step in range(n_steps):
-        _command_motors(robots, controllers, trees, placed.state, step, physics)
+        _command_motors(robots, controllers, placed, step, physics)
         if medium is not None:
             _push(links, medium, designs, trees, placed, physics)
         for robot, robot_alive in zip(robots, alive.flat, strict=True):
@@ -180,7 +180,8 @@ def roll_out(
             torque[:, :, step] = _motor_impulses(robots, alive.shape) * np.float32(1.0 / physics.time_step)
             torque[~alive, step] = np.nan
         if work is not None and step >= n_settle:
-            work += np.abs(_motor_impulses(robots, alive.shape) * _relative(placed.state[..., Column.OMEGA], trees))
+            speed = controllers.less_parent(placed.state[..., Column.OMEGA])
+            work += np.abs(_motor_impulses(robots, alive.shape) * speed)
         if step + 1 == n_settle:
             settled = placed.state
         if step + 1 == n_settle + n_measure // 2:
@@ -199,20 +200,13 @@ def _motor_impulses(robots: list[_Robot], shape: tuple[int, ...]) -> Float32:
     return impulse.reshape(*shape, N_LINKS)
 
 
-def _relative(quantity: Float32, trees: KinematicTrees) -> Float32:
-    """Return an angle or angular velocity of each link less its parent's; (..., n_links), of the root 0."""
-    parent = np.broadcast_to(np.maximum(trees.parent, 0), quantity.shape)
-    of_parent: Float32 = np.take_along_axis(quantity, parent, axis=2)
-    return quantity - of_parent
-
-
 def _command_motors(
-    robots: list[_Robot], controllers: Controllers, trees: KinematicTrees, state: Float32, step: int, physics: Physics
+    robots: list[_Robot], controllers: Controllers, placed: PlacedLinks, step: int, physics: Physics
 ) -> None:
     """Set the speed of each motor that is on to gain · (θ* - θ), within its limit."""
-    angle = state[..., Column.ANGLE]
-    target, joint_angle = controllers.target_angle(step, physics.time_step), _relative(angle, trees)
-    speed = motor_speed(target, joint_angle, np.float32(physics.motor_gain), fastest(physics))
+    angle = placed.state[..., Column.ANGLE]
+    target = controllers.target_angle(step, placed.state, placed.cos, placed.sin)
+    speed = motor_speed(target, controllers.less_parent(angle), np.float32(physics.motor_gain), fastest(physics))
     speeds_of_robots = speed.reshape(len(robots), N_LINKS).tolist()
     on = np.broadcast_to(controllers.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
     for robot, speeds, flags in zip(robots, speeds_of_robots, on, strict=True):

@@ -97,7 +97,7 @@ for ask in (lambda: study.simulate(study.champion("honey", depth=1.0, trial=0)),
 print(json.dumps([shown, study.settings.evolution.optimiser]))
 """
 
-HONEY, _, _, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS, MUJOCO = re.findall(
+HONEY, _, _, _, OBJECTIVE, SEARCH, CMA_ES, ANALYSIS, MUJOCO = re.findall(
     r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S
 )
 ADDED = {
@@ -109,18 +109,20 @@ ADDED = {
 LOST = -math.expm1(-5.0 / 60)  # share of a velocity that a step in honey takes
 
 CHANGED = {
-    "tasks/design/genes.py": [
+    "tasks/design/gene.py": [
         (
             '    Gene("frequency", ',
             '    Gene("bend", "control", "interval", -1.0, 1.0, "rad", False),\n'
             '    Gene("hollow", "body", "flag", 0.0, 1.0, "", True),\n'
             '    Gene("girth", "body", "interval", 0.5, 2.0, "m", True, per_link=False),\n'
             '    Gene("frequency", ',
-        ),
+        )
+    ],
+    "tasks/design/genes.py": [
         (
             "    frequency: Float64  #",
             "    bend: Float64\n    hollow: Bools\n    girth: Float64\n    frequency: Float64  #",
-        ),
+        )
     ],
     "pipeline/stages/evolve.py": [("    version=2,\n", "    version=3,\n")],
 }

@@ -63,6 +63,18 @@ def test_every_float_of_every_step(kind, depth: float, engine, same_libm: None, 
     assert np.isfinite(motion.final).all()
 
 
+@pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(0.3)], ids=["dry", "slush"])
+@pytest.mark.parametrize("controller", ["reflex", "phase"])
+def test_controllers_that_sense(controller: str, environment: Environment, engine, same_libm: None, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    designs, blind = (random_designs(N_DESIGNS, rng, controller=name) for name in (controller, "open_loop"))
+    motion = assert_equal(designs, environment, Physics(**engine), n_settle=20, n_measure=280)
+    assert np.isfinite(motion.final).all()
+    same = replace(designs, controller="open_loop", gains=blind.gains)
+    usual = batch.roll_out(same, environment, Physics(**engine), n_settle=20, n_measure=280, trace=False)
+    assert (motion.final != usual.final).any(axis=(0, 2, 3)).mean() > 0.5
+
+
 @pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(1.0)], ids=["dry", "slush"])
 def test_ends_of_groups_that_are_stepped_together(environment: Environment, same_libm: None, seed: int) -> None:
     """Without a trace, as in a study, two groups are stepped together; the last has unused lanes."""

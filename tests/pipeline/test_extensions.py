@@ -12,7 +12,7 @@ import pytest
 from pipeline.extensions import VARIABLE
 
 ROOT = Path(__file__).parents[2]
-HONEY, SPRINGS, FORM, *_ = re.findall(
+HONEY, SPRINGS, FORM, CONTROLLER, *_ = re.findall(
     r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), flags=re.DOTALL
 )
 OBJECTIVE = """
@@ -79,6 +79,28 @@ def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path):
     assert int(without.stdout) > 0 and "The code of link_axes is not here" in without.stderr
     unknown = run("-m", "pipeline", "study", *options[:2], *changes[:2])
     said = "network.form: expected any of law, law_and_network, plain, signed_angle, wetted, got 'link_axes'"
+    assert unknown.returncode == 2 and said in unknown.stderr
+
+
+def test_designs_evolve_with_a_controller_of_a_file(run, tmp_path):
+    """Its genes are in tables and design files; the study is readable without the file, which it names."""
+    (tmp_path / "wet_swing.py").write_text(CONTROLLER)
+    small = (
+        "evolution.n_generations=2",
+        "transfer.n_generations=2",
+        "grid.depths=[1]",
+        "grid.environments=[true_slush]",
+    )
+    changes = [part for one in ("evolution.controller=wet_swing", *small) for part in ("--set", one)]
+    options = ("--preset", "smoke", "--with", "wet_swing.py", "--workers", "0", "--store", "store")
+    done = run("-m", "pipeline", "study", *options, *changes, "--tracking-uri", "http://127.0.0.1:1")
+    assert done.returncode == 0, done.stderr
+    read = "import puddle; study = puddle.open_study('smoke', 'store'); print(study.champions()['design_json'][0])"
+    without = run("-c", read)
+    gains = json.loads(without.stdout)["wet_swing.wet"]
+    assert gains[0] == 0 and max(map(abs, gains)) <= 1 and "The code of wet_swing is not here" in without.stderr
+    unknown = run("-m", "pipeline", "study", *options[:2], *changes[:2])
+    said = "evolution.controller: expected any of open_loop, phase, reflex, got 'wet_swing'"
     assert unknown.returncode == 2 and said in unknown.stderr
 
 

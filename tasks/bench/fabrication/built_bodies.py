@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from tasks.arrays import Float64
 from tasks.bench.fabrication.kit_settings import KitSettings
 from tasks.design import N_LINKS, Designs, rest_pose
-from tasks.design.gait import gaits_of, reach, sine, swing
+from tasks.design.gait import reach, swing
 
 Point = tuple[float, float]
 Pose = Float64  # (6,) rigid motion of the plane in shapely's order: cos, -sin, sin, cos, x [mm], y [mm]
@@ -126,7 +126,7 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
     scale = settings.scale_mm_per_m
     x, y, angle = (array[0] for array in rest_pose(design))
     length, parent, turns = design.length_scale[0], design.parent[0], design.motor_on[0]
-    farthest, swings = reach(design)[0], swing(gaits_of(design)[:, 0], np.arange(_N_GAIT)[:, None] / _N_GAIT, sine)
+    farthest, swings = reach(design)[0], swing(design, np.arange(_N_GAIT)[:, None, None] / _N_GAIT)[:, 0]
     links = []
     for link in range(N_LINKS):
         half_w, half_h = scale / length[link] / 2, scale * length[link] / 2

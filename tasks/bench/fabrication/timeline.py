@@ -12,7 +12,8 @@ import numpy as np
 from tasks.arrays import Float64
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
 from tasks.design import Designs
-from tasks.design.gait import gaits_of, sine, swing
+from tasks.design.gait import swing
+from tasks.design.gene import DesignError
 
 DURATION = 150.0  # of a run on the bench, ramps included [s]; paper, "Physical Validation"
 RAMP = 2.0  # of the rise from rest, and of the return to it [s]
@@ -68,14 +69,17 @@ def driven_joints(design: Designs) -> tuple[int, ...]:
 def timeline_of(design: Designs, *, time_scale: float, duration: float = DURATION, ramp: float = RAMP) -> Timeline:
     """Sample the motor commands of one design's controller, with ``time_scale`` bench seconds per simulated second.
 
-    Raises TimelineError if no motor is on.
+    Raises TimelineError if no motor is on, or the controller needs what servos lack: they sense nothing.
     """
     joints = driven_joints(design)
     n_frames = round(duration * FRAME_RATE_HZ) + 1
     time = np.arange(n_frames) / FRAME_RATE_HZ
     periods = design.frequency[0] * time[:, None] / time_scale
     rise = envelope(time, duration=time[-1], ramp=ramp)
-    angle = swing(gaits_of(design)[:, 0, list(joints)], periods, sine)
+    try:
+        angle = swing(design, periods[:, None])[:, 0, list(joints)]
+    except DesignError as error:
+        raise TimelineError(str(error)) from None
     return Timeline(joints=joints, angle=rise[:, None] * angle)
 
 

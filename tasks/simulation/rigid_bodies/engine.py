@@ -8,8 +8,9 @@ from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simd.lanes import Block, as_block
 from tasks.simulation.box2d import Scene
-from tasks.simulation.fluids import Push, Rows, push_of
+from tasks.simulation.fluids import Acting, Rows, push_of
 from tasks.simulation.fused_links import body_change
+from tasks.simulation.motors import Sensors, motors_of
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
@@ -31,13 +32,14 @@ _OF_LINKS = Rows(
     unkicked=tuple(_ROWS[f"unkicked_{name}"] for name in ("vx", "vy", "omega")),
     stride=_LINKS.itemsize // 4,
 )
+_SENSORS = Sensors(**{name: _ROWS[name] for name in Sensors._fields if name != "stride"}, stride=_OF_LINKS.stride)
 
 
 def _advance_robots_with_networks(
     robots: Records,
     numbers: Block,
     scene: Scene,
-    no_fluid: Push,
+    acting: Acting,
     first_step: int,
     end_step: int,
     coupling: Coupling,
@@ -46,7 +48,7 @@ def _advance_robots_with_networks(
     """Take steps with robots, each in its member's medium; ``trace`` is empty."""
     for number in range(first_step, end_step):
         coupled.push(coupling)
-        _advance(robots, numbers, scene, no_fluid, number, number + 1, trace)
+        _advance(robots, numbers, scene, acting, number, number + 1, trace)
 
 
 _advance_with_networks = compiled(_advance_robots_with_networks, seconds=5)
@@ -76,7 +78,11 @@ class Robots:
         self.n_robots = len(self.records)
         self._numbers = as_block(self.records.view(np.float32).reshape(-1, 1))
         member = np.repeat(np.arange(n_members), len(designs))[:, None]
-        self._fluid = push_of(medium, physics, _OF_LINKS, self._numbers, member)
+        fluid = push_of(medium, physics, _OF_LINKS, self._numbers, member)
+        number = np.tile(np.arange(N_LINKS), (len(designs), 1))
+        design = np.arange(self.n_robots)[:, None] % max(len(designs), 1)
+        motors = motors_of(designs, depth, physics, number, design, _SENSORS, self._numbers)
+        self._acting = Acting(motors, fluid)
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states; NaN where diverged."""
@@ -99,8 +105,9 @@ class Robots:
         The states after each step fill ``trace``, (n_robots, n_steps, n_links, 6).
         """
         states = np.empty((0 if trace is None else self.n_robots, n_steps, N_LINKS, 6), np.float32)
+        end = first_step + n_steps
         with np.errstate(all="ignore"):  # without the compiler NumPy would warn
-            _advance(self.records, self._numbers, scene, self._fluid, first_step, first_step + n_steps, states)
+            _advance(self.records, self._numbers, scene, self._acting, first_step, end, states)
         if trace is not None:
             trace[:] = states
 
@@ -111,7 +118,7 @@ class Robots:
         no_trace = np.empty((0, 0, N_LINKS, 6), np.float32)
         with np.errstate(all="ignore"):
             _advance_with_networks(
-                self.records, self._numbers, scene, self._fluid, first_step, first_step + n_steps, coupling, no_trace
+                self.records, self._numbers, scene, self._acting, first_step, first_step + n_steps, coupling, no_trace
             )
 
     def push(self, medium: Medium) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from numpy import float32
 
-from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS, N_LINKS
 
 GROUND = N_LINKS  # the ground's index among the bodies and among the fixtures
@@ -27,12 +26,14 @@ class LinkRecord:
     """A link: its state, what a medium reads, and its place in its body (local_…; see tasks.design.RigidBodies).
 
     The lever is the link's centre less the body's centre of mass; change_… is the velocity change by the medium,
-    unkicked_… the velocity now, had only a fluid that reads kicks and gravity acted.
+    unkicked_… the velocity now, had only a fluid that reads kicks and gravity acted, and motor_speed what the
+    controller commands of the joint with its parent (tasks/simulation/motors.py).
     """
 
     x, y, angle, vx, vy, omega, cos, sin = [_FLOAT] * 8
     length_scale, mass, inertia = [_FLOAT] * 3
     change_vx, change_vy, change_omega, unkicked_vx, unkicked_vy, unkicked_omega = [_FLOAT] * 6
+    motor_speed = _FLOAT
     lever_x, lever_y = [_FLOAT] * 2
     body = 0
     local_x, local_y, local_angle, local_cos, local_sin, local_lever_x, local_lever_y = [_FLOAT] * 7
@@ -90,15 +91,14 @@ class ContactRecord:
 
 
 class JointRecord:
-    """b2RevoluteJoint between the links parent and child, and its controller (tasks/simulation/controller.py).
+    """b2RevoluteJoint between the links parent and child.
 
     ra and rb are the joint seen from the bodies' centres of mass; max_motor_impulse is 0 where there is no motor, and
     motor_work is the motor's work since it began to be counted.
     """
 
     body_a, body_b, parent, child = [0] * 4
-    gait = [_FLOAT] * N_NUMBERS
-    rest_angle, motor_speed, max_motor_impulse = [_FLOAT] * 3
+    motor_speed, max_motor_impulse = [_FLOAT] * 2
     local_ra_x, local_ra_y, local_rb_x, local_rb_y, ra_x, ra_y, rb_x, rb_y = [_FLOAT] * 8
     impulse_x, impulse_y, motor_impulse, motor_work = [_FLOAT] * 4
     k_xx, k_xy, k_yy, k_inverse_det, motor_mass = [_FLOAT] * 5
@@ -118,7 +118,7 @@ class RobotRecord:
     fixtures = [FixtureRecord()] * _N_BODIES
     contacts = [ContactRecord()] * MAX_CONTACTS
     joints = [JointRecord()] * N_JOINTS
-    frequency, divergence = [_FLOAT] * 2
+    divergence = _FLOAT
     n_bodies, n_joints, n_pairs, n_contacts, n_island_contacts, n_island_joints = [0] * 6
     contact_list, island_contacts = [[0] * MAX_CONTACTS] * 2
     island_joints = [0] * N_JOINTS

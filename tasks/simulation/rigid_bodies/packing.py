@@ -7,7 +7,6 @@ from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
-from tasks.simulation.controller import Controllers
 from tasks.simulation.free_links import sines_and_cosines
 from tasks.simulation.rigid_bodies.layout import GROUND, MAX_CONTACTS, ROBOT, Records
 from tasks.world.physics import Physics
@@ -182,7 +181,6 @@ def _pack_joints(
     design, link = np.nonzero(rigid.is_first & (np.arange(N_LINKS) > 0))
     index, parent = body_index(rigid), designs.parent[design, link]
     center_a, center_b = center[design, rigid.first_link[design, parent]], center[design, link]
-    controllers = Controllers.of(designs)
     max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
     for name, quantity in (
         ("body_a", index[design, parent]),
@@ -194,12 +192,9 @@ def _pack_joints(
         ("local_rb_x", -center_b[:, 0]),
         ("local_rb_y", trees.child_anchor[design, link] - center_b[:, 1]),
         ("max_motor_impulse", designs.motor_on[design, link] * max_motor_impulse),
-        ("gait", controllers.gait[:, design, link].T),
-        ("rest_angle", controllers.rest_angle[design, link]),
     ):
         robots["joints"][name][design, index[design, link] - 1] = quantity
     robots["n_joints"] = rigid.is_first.sum(axis=1) - 1
-    robots["frequency"] = controllers.frequency[:, 0]
 
 
 def _pack_ground(robots: Records, depth: float) -> None:

@@ -12,8 +12,7 @@ from tasks.compiled import inline
 from tasks.simd.lanes import Block, call, from_row
 from tasks.simd.rotation import scalar_sincos
 from tasks.simulation.box2d import Scene
-from tasks.simulation.controller import motor_speed, target_angle
-from tasks.simulation.fluids import Push, of_group
+from tasks.simulation.fluids import Acting, Push, of_group
 from tasks.simulation.fused_links import placed, turned
 from tasks.simulation.rigid_bodies import broad_phase, island, revolute_joint
 from tasks.simulation.rigid_bodies.layout import ROBOT, RobotRecord
@@ -59,13 +58,12 @@ def _push(robot: RobotRecord, scene: Scene) -> None:
 
 
 @inline
-def _command_motors(robot: RobotRecord, time: float32, scene: Scene) -> None:
+def _command_motors(robot: RobotRecord, numbers: Block, motors: Push, step: int) -> None:
     """Set the motors' speeds by the controller."""
+    call(motors.address, numbers, motors.factors, step)
     for j in range(robot.n_joints):
         joint = robot.joints[j]
-        joint_angle = robot.links[joint.child].angle - robot.links[joint.parent].angle
-        target = target_angle(joint.gait, joint.rest_angle, robot.frequency * time)
-        joint.motor_speed = motor_speed(target, joint_angle, scene.motor_gain, scene.max_motor_speed)
+        joint.motor_speed = robot.links[joint.child].motor_speed
 
 
 @inline
@@ -88,11 +86,11 @@ def _synchronize_fixtures(robot: RobotRecord, scene: Scene) -> None:
 
 
 @inline
-def _begin_step(robot: RobotRecord, numbers: Block, scene: Scene, fluid: Push, step: int) -> None:
+def _begin_step(robot: RobotRecord, numbers: Block, scene: Scene, acting: Acting, step: int) -> None:
     """Run the motors and the fluid, collide, and prepare the island; ``numbers`` are the robot's record as rows."""
-    _command_motors(robot, float32(step) * scene.dt, scene)
-    if fluid.address != 0:
-        call(fluid.address, numbers, fluid.factors, scene.n_links)
+    _command_motors(robot, numbers, acting.motors, step)
+    if acting.fluid.address != 0:
+        call(acting.fluid.address, numbers, acting.fluid.factors, scene.n_links)
     _push(robot, scene)
     broad_phase.collide(robot)
     island.search(robot)
@@ -117,12 +115,12 @@ def _finish_step(robot: RobotRecord, scene: Scene) -> None:
 
 
 @inline
-def _take_step(team: Sequence[RobotRecord], numbers: Block, scene: Scene, fluid: Push, step: int) -> None:
+def _take_step(team: Sequence[RobotRecord], numbers: Block, scene: Scene, acting: Acting, step: int) -> None:
     """Run the motors, the fluid, and b2World::Step for a team; a robot that has diverged only drifts."""
     for r in range(len(team)):
         robot = team[r]
         if robot.divergence == 0.0:
-            _begin_step(robot, from_row(numbers, r * N_ROWS), scene, of_group(fluid, r), step)
+            _begin_step(robot, from_row(numbers, r * N_ROWS), scene, of_group(acting, r), step)
         else:
             robot.n_island_contacts, robot.n_island_joints = 0, 0
     island.sweep_velocities(team, scene)
@@ -161,7 +159,7 @@ def advance_robots(
     robots: Sequence[RobotRecord],
     numbers: Block,
     scene: Scene,
-    fluid: Push,
+    acting: Acting,
     first_step: int,
     end_step: int,
     trace: Float32,
@@ -177,7 +175,7 @@ def advance_robots(
             for r in range(len(team)):
                 _spawn(team[r], scene)
         for step in range(first_step, end_step):
-            _take_step(team, from_row(numbers, first * N_ROWS), scene, of_group(fluid, first), step)
+            _take_step(team, from_row(numbers, first * N_ROWS), scene, of_group(acting, first), step)
             if trace.size > 0:
                 for r in range(len(team)):
                     _record_states(team[r], trace[first + r, step - first_step])

@@ -9,7 +9,8 @@ from tasks.compiled import compiled
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simd.lanes import Block
 from tasks.simulation.box2d import Scene
-from tasks.simulation.fluids import Push, Rows, push_of
+from tasks.simulation.fluids import Acting, Rows, push_of
+from tasks.simulation.motors import Sensors, motors_of
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
@@ -19,6 +20,9 @@ from tasks.world.physics import Physics
 
 advance_kernel = compiled(step.advance, seconds=12)
 
+_SENSORS = Sensors(
+    layout.ANGLE, layout.OMEGA, layout.LONG_AXIS, layout.Y, layout.COS, layout.SIN, layout.MOTOR_SPEED - 1, stride=1
+)
 _ROWS = Rows(
     read=tuple(layout.QUANTITIES.values()),
     add=(layout.VX, layout.VY, layout.OMEGA),
@@ -31,7 +35,7 @@ def _advance_with_networks(
     block: Block,
     n_groups: int,
     scene: Scene,
-    no_fluid: Push,
+    acting: Acting,
     first_step: int,
     n_steps: int,
     coupling: Coupling,
@@ -45,7 +49,7 @@ def _advance_with_networks(
     """
     for taken in range(n_steps):
         coupled.push(coupling)
-        advance_kernel(block, n_groups, scene, no_fluid, first_step + taken, one, trace, traced)
+        advance_kernel(block, n_groups, scene, acting, first_step + taken, one, trace, traced)
 
 
 _advance_coupled = compiled(_advance_with_networks, seconds=5)
@@ -57,6 +61,7 @@ class Groups:
     def __init__(
         self,
         designs: Designs,
+        depth: float,
         physics: Physics,
         medium: Medium | MediumWithMemory | None,
         *,
@@ -65,7 +70,7 @@ class Groups:
     ) -> None:
         """Spawn n_members robots of each of n_designs designs: robot number member · n_designs + design.
 
-        A medium with a law acts in every step; any other is up to the caller.
+        The ground is at a depth [m]. A medium with a law acts in every step; any other is up to the caller.
         """
         self.n_robots = n_members * len(designs)
         self._n_members = n_members
@@ -75,9 +80,12 @@ class Groups:
         self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
         self._no_trace = Block(1, n_lanes)
         member = self._robot_of_lane.reshape(self.n_groups, n_lanes) // max(len(designs), 1)
-        self._fluid = push_of(medium, physics, _ROWS, self._block, member)
+        fluid = push_of(medium, physics, _ROWS, self._block, member)
         self.blocks = self._block.rows.reshape(self.n_groups, layout.N_ROWS, n_lanes)
         self._number = packing.pack(designs, physics, n_members, self.blocks)  # the engine's numbers of the links
+        design = self._robot_of_lane.reshape(self.n_groups, n_lanes) % max(len(designs), 1)
+        motors = motors_of(designs, depth, physics, self._number, design, _SENSORS, self._block)
+        self._acting = Acting(motors, fluid)
 
     @cached_property
     def _robot_of_lane(self) -> Int64:
@@ -115,7 +123,7 @@ class Groups:
         states = Block(n_rows, self.n_lanes) if n_rows else self._no_trace
         with np.errstate(all="ignore"):  # without the compiler, lanes are NumPy arrays and would warn
             advance_kernel(
-                self._block, self.n_groups, scene, self._fluid, first_step, n_steps, states, trace is not None
+                self._block, self.n_groups, scene, self._acting, first_step, n_steps, states, trace is not None
             )
         if trace is not None and n_rows:
             by_group = states.rows.reshape(self.n_groups, n_steps, 6, N_LINKS, self.n_lanes)
@@ -127,7 +135,7 @@ class Groups:
         coupling = coupled.couple(networks, self.blocks, self.n_robots, _ROWS)
         with np.errstate(all="ignore"):
             _advance_coupled(
-                self._block, self.n_groups, scene, self._fluid, first_step, n_steps, coupling, self._no_trace, False, 1
+                self._block, self.n_groups, scene, self._acting, first_step, n_steps, coupling, self._no_trace, False, 1
             )
 
     def push(self, medium: Medium) -> None:

@@ -6,7 +6,6 @@ vx of a link in all lanes. The rows that a step uses of 32 robots just fit a cor
 time.
 """
 
-from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS, N_LINKS
 
 # State, passed from one step to the next. The first six are the columns of a trace.
@@ -29,11 +28,7 @@ LONG_AXIS, MASS, INERTIA = range(INVERSE_INERTIA + N_LINKS, INVERSE_INERTIA + 4 
 PARENT, PARENT_INVERSE_MASS, PARENT_INVERSE_INERTIA, PARENT_ANCHOR, CHILD_ANCHOR, MAX_MOTOR_IMPULSE = range(
     INERTIA + N_LINKS, INERTIA + N_LINKS + 6 * N_JOINTS, N_JOINTS
 )
-# Controllers: rest angle [rad] of each joint; the numbers of its gait, joint after joint; one frequency per robot [Hz].
-REST_ANGLE = MAX_MOTOR_IMPULSE + N_JOINTS
-GAIT = REST_ANGLE + N_JOINTS
-FREQUENCY = GAIT + N_JOINTS * N_NUMBERS
-N_PACKED = FREQUENCY + 1  # what a robot brings along; the rest is scratch
+N_PACKED = MAX_MOTOR_IMPULSE + N_JOINTS  # what a robot brings along; the rest is scratch
 
 # Scratch, rewritten in every step. Joints: r_A, r_B and K of b2RevoluteJoint, 1/det K, and the motor.
 _JOINT = N_PACKED

@@ -9,7 +9,6 @@ import numpy as np
 from tasks.arrays import Float32, Int64
 from tasks.design.body import kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation.controller import Controllers
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
 from tasks.world.physics import Physics
@@ -64,11 +63,10 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
     order: Int64 = _ORDER_OF_TREE[tree]
     number: Int64 = _NUMBER_OF_TREE[tree]
     trees = kinematic_trees(designs, density=physics.link_density)
-    controllers = Controllers.of(designs)
     length = designs.length_scale.astype(np.float32)
     inverse = _inverse_mass_and_inertia(trees.half_width, trees.half_height, physics.link_density)
     above = np.take_along_axis(number, np.maximum(designs.parent, 0), axis=1)
-    impulse = controllers.motor_on * (np.float32(physics.time_step) * np.float32(physics.max_motor_torque))
+    impulse = designs.motor_on * (np.float32(physics.time_step) * np.float32(physics.max_motor_torque))
     pose, sizes = (trees.x, trees.y, trees.angle), (trees.half_width, trees.half_height)
     masses = length, trees.mass, trees.inertia
     anchors = trees.parent_anchor, trees.child_anchor
@@ -78,7 +76,7 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
         return np.take_along_axis(np.stack(quantities, axis=1, dtype=np.float32), order[:, None], axis=2)
 
     of_links = ordered(*pose, *sizes, *inverse, *masses)
-    of_joints = ordered(above, *anchors, impulse, controllers.rest_angle, *controllers.gait)[..., 1:]
+    of_joints = ordered(above, *anchors, impulse)[..., 1:]
     of_parents = np.take_along_axis(of_links[:, 5:7], of_joints[:, :1].astype(np.int64), axis=2)  # of ``inverse``
     robots = np.zeros((n_designs, layout.N_PACKED), np.float32)
     for first, end, rows in (
@@ -86,9 +84,7 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
         (layout.HALF_WIDTH, layout.PARENT, of_links[:, 3:]),
         (layout.PARENT, layout.PARENT_INVERSE_MASS, of_joints[:, :1]),
         (layout.PARENT_INVERSE_MASS, layout.PARENT_ANCHOR, of_parents),
-        (layout.PARENT_ANCHOR, layout.GAIT, of_joints[:, 1:5]),
-        (layout.GAIT, layout.FREQUENCY, of_joints[:, 5:].transpose(0, 2, 1)),
-        (layout.FREQUENCY, layout.N_PACKED, controllers.frequency),
+        (layout.PARENT_ANCHOR, layout.N_PACKED, of_joints[:, 1:]),
     ):
         robots[:, first:end] = rows.reshape(n_designs, end - first)
     robots[:, layout.VERTEX : layout.NORMAL] = NO_VERTEX

@@ -3,33 +3,21 @@
 The order of a step is Box2D's: collide, integrate velocities, warm-start contacts then joints, sweep joints then
 contacts for velocities, integrate positions, sweep contacts then joints for positions. The order of contacts among
 themselves does not matter, because no contact connects two links; that of joints does. The motors are those of
-tasks/simulation/controller.py, in the same float32 operations. Everything equals the reference engine to the last bit.
+tasks/simulation/motors.py, in the same float32 operations. Everything equals the reference engine to the last bit.
 """
 
 import numpy as np
 
 from tasks.compiled import inline
-from tasks.design.gait import N_NUMBERS
 from tasks.design.genes import N_JOINTS
 from tasks.simd.lanes import Block, any_lane, call, from_row
 from tasks.simd.rotation import sincos
 from tasks.simulation.box2d import Scene, limited
-from tasks.simulation.controller import motor_speed, target_angle
-from tasks.simulation.fluids import Push, of_group
+from tasks.simulation.fluids import Acting, of_group
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
-from tasks.simulation.trees.joint import of_parent
 
 MAX_GROUPS_AT_ONCE = 2  # of two, what the velocity solver uses still fits a core's L1 cache
-
-
-@inline
-def _command_motor(block: Block, j: int, time: np.float32, scene: Scene) -> None:
-    parent = block[at.PARENT + j]
-    joint_angle = block[at.ANGLE + j + 1] - of_parent(from_row(block, at.ANGLE), parent, j)
-    gait, periods = from_row(block, at.GAIT + j * N_NUMBERS), block[at.FREQUENCY] * time
-    target = target_angle(gait, block[at.REST_ANGLE + j], periods)
-    block[at.MOTOR_SPEED + j] = motor_speed(target, joint_angle, scene.motor_gain, scene.max_motor_speed)
 
 
 @inline
@@ -108,16 +96,11 @@ def _solve_positions(block: Block, scene: Scene, touching: int) -> None:
 
 
 @inline
-def _push_links(block: Block, scene: Scene, fluid: Push, step: int) -> None:
+def _push_links(block: Block, scene: Scene, acting: Acting, step: int) -> None:
     """Command the motors, and change the links' velocities by the fluid and gravity."""
-    time = np.float32(step) * scene.dt
-    _command_motor(block, 0, time, scene)
-    _command_motor(block, 1, time, scene)
-    _command_motor(block, 2, time, scene)
-    _command_motor(block, 3, time, scene)
-    _command_motor(block, 4, time, scene)
-    if fluid.address != 0:
-        call(fluid.address, block, fluid.factors, scene.n_links)
+    call(acting.motors.address, block, acting.motors.factors, step)
+    if acting.fluid.address != 0:
+        call(acting.fluid.address, block, acting.fluid.factors, scene.n_links)
     for link in range(scene.n_links):
         block[at.VY + link] = block[at.VY + link] + scene.fall
 
@@ -153,9 +136,9 @@ def _end_step(block: Block, scene: Scene, touching: int) -> None:
 
 
 @inline
-def _take_step(groups: Block, n_groups: int, scene: Scene, fluid: Push, step: int) -> None:
+def _take_step(groups: Block, n_groups: int, scene: Scene, acting: Acting, step: int) -> None:
     for k in range(n_groups):
-        _push_links(from_row(groups, k * at.N_ROWS), scene, of_group(fluid, k), step)
+        _push_links(from_row(groups, k * at.N_ROWS), scene, of_group(acting, k), step)
     touching, on_two_points = 0, 0  # the first group's links are the lowest bits
     for k in range(n_groups):
         links, links_on_two = _start_contacts(from_row(groups, k * at.N_ROWS), scene)
@@ -174,7 +157,14 @@ def _orient(block: Block, scene: Scene) -> None:
 
 
 def advance(
-    blocks: Block, n_groups: int, scene: Scene, fluid: Push, first_step: int, n_steps: int, trace: Block, traced: bool
+    blocks: Block,
+    n_groups: int,
+    scene: Scene,
+    acting: Acting,
+    first_step: int,
+    n_steps: int,
+    trace: Block,
+    traced: bool,
 ) -> None:
     """Step groups of robots.
 
@@ -188,7 +178,7 @@ def advance(
             for k in range(n_together):
                 _orient(from_row(together, k * at.N_ROWS), scene)
         for step in range(n_steps):
-            _take_step(together, n_together, scene, of_group(fluid, group), first_step + step)
+            _take_step(together, n_together, scene, of_group(acting, group), first_step + step)
             if traced:
                 for k in range(n_together):
                     block = from_row(together, k * at.N_ROWS)

@@ -12,6 +12,7 @@ from pipeline.store.design_file import design_from, design_json, open_designs
 from tasks.design import random_designs
 
 DESIGNS = random_designs(5, np.random.default_rng(3))
+REFLEX = random_designs(5, np.random.default_rng(3), controller="reflex")
 DOCUMENTS = [design_json(DESIGNS[i : i + 1]).decode() for i in range(len(DESIGNS))]
 COLUMNS = {name: array.tolist() for name, array in DESIGNS.arrays()}
 
@@ -28,6 +29,16 @@ def test_every_form_of_a_table_gives_the_same_designs(tmp_path):
         assert (open_designs(written(tmp_path, columns)).table == DESIGNS.table).all()
 
 
+def test_genes_of_a_controller_are_kept_and_checked(tmp_path):
+    columns = {name: array.tolist() for name, array in REFLEX.arrays()}
+    assert open_designs(written(tmp_path, columns)) == REFLEX
+    assert design_from(design_json(REFLEX[1:2]), "the file") == REFLEX[1:2]
+    for number in (float("nan"), float("inf")):
+        columns["reflex.spin"][2][3] = number
+        with pytest.raises(PuddleError, match=rf"design 2: reflex.spin of link 3 is {number}, expected -0.5 to 0.5 s"):
+            open_designs(written(tmp_path, columns))
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -40,6 +51,10 @@ def test_every_form_of_a_table_gives_the_same_designs(tmp_path):
         ({"parent": [[0.5] * 6] * 5}, "parent: expected values of type int64"),
         ({"design_json": [*DOCUMENTS[:4], "{}"]}, "row 4: expected 'puddle.design' version 1"),
         ({name: [] for name in COLUMNS}, "expected at least one design, got none"),
+        ({"mine.wet": [[0.0] * 6] * 5}, "controller: expected any of open_loop, .*, got 'mine'"),
+        ({"reflex.wet": [[0.0] * 6] * 5}, "expected every gene, got none for reflex.angle, reflex.speed"),
+        ({"reflex.wet": [[0.0] * 6] * 5, "phase.load": [[0.0] * 6] * 5}, "genes of the controllers phase and reflex"),
+        ({"design_json": [*DOCUMENTS[:4], design_json(REFLEX[:1]).decode()]}, "controllers open_loop, reflex, exp"),
     ],
 )
 def test_a_faulty_column_is_named(tmp_path, changed, said):

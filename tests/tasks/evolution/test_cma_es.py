@@ -5,7 +5,9 @@ from trials import run
 
 from tasks.design import GENES, Designs
 from tasks.evolution import Evaluation
-from tasks.evolution.cma_es import IS_ANGLE, CmaEs, X
+from tasks.evolution.cma_es import CmaEs, x_of
+
+X, IS_ANGLE = x_of("open_loop")
 
 
 def test_it_converges_on_an_optimum_around_the_corner() -> None:

@@ -71,3 +71,11 @@ def test_a_timeline_beyond_a_limit_is_refused_with_joint_time_and_limit():
         pulses(Timeline((1,), np.array([[0.0], [0.05]])), Calibration(servos=(servo(max_speed=2.0),)))
     with pytest.raises(TimelineError, match="for joints 1, 3, the calibration has them for 1"):
         pulses(Timeline((1, 3), np.zeros((5, 2))), Calibration(servos=(servo(),)))
+
+
+def test_a_controller_that_senses_is_refused_by_what_servos_lack():
+    robot = random_designs(1, np.random.default_rng(0), controller="reflex")
+    with pytest.raises(
+        TimelineError, match="controller reflex needs angle, speed, sin, spin, wet, contact, which serv"
+    ):
+        timeline_of(replace(robot, motor_on=np.ones((1, 6), bool)), time_scale=1.0)

@@ -1,0 +1,102 @@
+"""What a controller is: genes of its own, and a law from what a joint senses to its target angle.
+
+Every robot has a frequency, and each of its joints an amplitude and a phase; a law may use them or not. It is one text
+for numbers, arrays and the batch engine's lanes: operators, ``abs`` and the functions of ``tasks.simd.lanes`` such as
+``select`` in place of a branch. Both engines, MuJoCo, servos and checks of gaits call it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tasks.design.gene import DesignError, Gene
+from tasks.discovery import register
+
+
+class Joint(NamedTuple):
+    """What a law knows of a joint at the start of a step; its link is the child. What is sensed begins with angle."""
+
+    periods: Any  # f t, time in periods of the robot's frequency
+    amplitude: Any  # the gene motion_range [rad]
+    phase: Any  # the gene phase [turns]
+    gains: Any  # the controller's own genes, by index
+    dt: Any = None  # time step [s]
+    memory: Any = None  # what the law returned beside the target of the step before; 0 at first
+    memory_above: Any = None  # the same of the parent's joint; 0 where the parent is the root
+    angle: Any = None  # of the joint, from rest [rad]
+    speed: Any = None  # of the joint [rad/s]
+    cos: Any = None  # cosine of the angle between the link's long axis and the vertical
+    sin: Any = None  # sine of the same angle
+    spin: Any = None  # angular velocity of the link [rad/s]
+    wet: Any = None  # share of the link under the surface
+    contact: Any = None  # 1 where the link touches the ground, else 0
+
+
+SENSES = Joint._fields[Joint._fields.index("angle") :]
+
+OPEN_LOOP = "open_loop"  # the paper's controller
+
+Law = Callable[[Any, Callable[[Any], Any]], Any]
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A controller; its genes are named ``controller.gene`` in tables and files."""
+
+    name: str
+    law: Law
+    """Returns the target angle from rest [rad] of a :class:`Joint`, given the sine of angles in turns; with
+    ``remembers``, that and a number to remember."""
+    genes: tuple[Gene, ...] = ()  # of each joint
+    senses: tuple[str, ...] = ()  # what the law reads of SENSES
+    remembers: bool = False
+
+    @property
+    def needs(self) -> str:
+        """What the law needs beside the time, in words."""
+        return ", ".join((*self.senses, *(("a memory",) if self.remembers else ())))
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether its gait is known beforehand."""
+        return not self.needs
+
+
+CONTROLLERS: dict[str, Controller] = {}  # controllers by name
+
+
+def gain(name: str, largest: float, unit: str) -> Gene:
+    """Return a gene of each joint within ± largest, which a mutation may set to 0."""
+    return Gene(name, "control", "gain", -largest, largest, unit, of_root=False)
+
+
+def register_controller(controller: Controller) -> None:
+    """Add a controller to the registry.
+
+    Raises:
+        ValueError: another controller has the name, it has no genes by which tables know its designs, or the law reads
+            what ``senses`` lacks.
+    """
+    name = controller.name
+    if not controller.genes and name != OPEN_LOOP:
+        raise ValueError(f"controller {name!r}: expected at least one gene of its own, by which files know its designs")
+    one = np.float32(1)
+    knows = {field: one for field in Joint._fields if field not in SENSES or field in controller.senses}
+    try:
+        controller.law(SimpleNamespace(**{**knows, "gains": [one] * len(controller.genes)}), np.sin)
+    except AttributeError as error:
+        raise ValueError(f"controller {name!r}: its law reads {error.name}, expected it among its senses") from None
+    genes = tuple(replace(gene, name=f"{name}.{gene.name}") for gene in controller.genes)
+    register(CONTROLLERS, "controller", name, replace(controller, genes=genes))
+
+
+def controller_named(name: str) -> Controller:
+    """Return a controller; raise DesignError if there is none of the name."""
+    if name not in CONTROLLERS:
+        raise DesignError(f"controller: expected any of {', '.join(CONTROLLERS)}, got {name!r}")
+    return CONTROLLERS[name]
