@@ -49,10 +49,11 @@ def _cover_of_link(grid: Grid, links: Links, link: int, cover: Cover) -> None:
     reach_x, reach_y = (abs(sin) * length + abs(cos) * width) / 2 + h, (abs(cos) * length + abs(sin) * width) / 2 + h
     for i in range(int(np.floor((x - reach_x) / h)), int(np.ceil((x + reach_x) / h)) + 1):
         column = i % n_columns
-        for row in range(max(0, int(np.floor((y - reach_y) / h))), min(n_rows, int(np.ceil((y + reach_y) / h)) + 1)):
+        for row in range(max(0, int(np.floor((y - reach_y) / h))), min(n_rows, int(np.ceil((y + reach_y) / h))) + 1):
             dx, dy = i * h - x, (row + 0.5) * h - y  # of the left face; then of the lower one
-            share = covered(cos * dy - sin * dx, cos * dx + sin * dy, cos, sin, length, width, h)
-            cover.of_u[link, column, row] = max(share, cover.of_u[link, column, row])
+            if row < n_rows:
+                share = covered(cos * dy - sin * dx, cos * dx + sin * dy, cos, sin, length, width, h)
+                cover.of_u[link, column, row] = max(share, cover.of_u[link, column, row])
             dx, dy = dx + h / 2, dy - h / 2
             share = covered(cos * dy - sin * dx, cos * dx + sin * dy, sin, cos, length, width, h)
             cover.of_v[link, column, row] = max(share, cover.of_v[link, column, row])
@@ -78,8 +79,9 @@ def _cover(grid: Grid, links: Links, cover: Cover) -> None:
     cover.open_u[:], cover.open_v[:] = 1.0, 1.0
     for link in range(n_links):
         for i in range(n_columns):
-            for j in range(n_rows):
-                cover.open_u[i, j] = min(cover.open_u[i, j], 1.0 - cover.of_u[link, i, j])
+            for j in range(n_rows + 1):
+                if j < n_rows:
+                    cover.open_u[i, j] = min(cover.open_u[i, j], 1.0 - cover.of_u[link, i, j])
                 cover.open_v[i, j] = min(cover.open_v[i, j], 1.0 - cover.of_v[link, i, j])
     alone, own = np.zeros(n_links), np.zeros(n_links)
     for of, opening in ((cover.of_u, cover.open_u), (cover.of_v, cover.open_v)):

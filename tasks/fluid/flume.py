@@ -10,10 +10,10 @@ import numpy as np
 
 from tasks.arrays import Float64
 from tasks.compiled import compiled, inline
+from tasks.fluid.buoyancy import float_links
 from tasks.fluid.cover import cover_faces
-from tasks.fluid.grid import Cover, Grid, Links, Water, cell_order, face_height, n_wet
-from tasks.fluid.pressure import project, wrapped
-from tasks.fluid.surface import float_links
+from tasks.fluid.grid import Cover, Grid, Links, Water, cell_order
+from tasks.fluid.pressure import project, push, wrapped
 from tasks.fluid.transport import carry
 
 
@@ -43,32 +43,36 @@ def _rub(grid: Grid, links: Links, water: Water, cover: Cover, before: Float64) 
         before: (n_links, 3) velocities that the links had in the transport.
     """
     h, (n_columns, n_rows) = grid.spacing, water.u.shape
-    per_velocity = grid.density * h * h
-    for link in range(len(links.mass)):
-        x, y, _ = links.pose[link]
-        along_x = along_y = around = 0.0
-        for i in range(n_columns):
-            for j in range(n_rows):
-                if cover.of_u[link, i, j] > 0.0:
-                    mass = per_velocity * cover.of_u[link, i, j] * face_height(water, i, j)
-                    at = (j + 0.5) * h + grid.floor
-                    impulse = mass * (water.u[i, j] - _velocity_u(links, before, link, at))
-                    along_x, around = along_x + impulse, around - impulse * (at - y)
-                if cover.of_v[link, i, j] > 0.0 and 0 < j <= n_wet(water, i):
-                    mass, at = per_velocity * cover.of_v[link, i, j], (i + 0.5) * h
-                    impulse = mass * (water.v[i, j] - _velocity_v(links, before, link, at, n_columns * h))
-                    along_y, around = along_y + impulse, around + impulse * wrapped(at - x, n_columns * h)
-        links.velocity[link, 0] += along_x / links.mass[link]
-        links.velocity[link, 1] += along_y / links.mass[link]
-        links.velocity[link, 2] += around / links.inertia[link]
+    per_velocity, length, n_links = grid.density * h * h, n_columns * h, len(links.mass)
+    for i in range(n_columns):
+        x = (i + 0.5) * h
+        for j in range(n_rows + 1):
+            y = (j + 0.5) * h + grid.floor
+            if j < n_rows and cover.open_u[i, j] < 1.0:
+                slip = (1.0 - cover.open_u[i, j]) * water.u[i, j]
+                for link in range(n_links):
+                    slip -= cover.of_u[link, i, j] * _velocity_u(links, before, link, y)
+                slip *= per_velocity / (1.0 - cover.open_u[i, j])
+                for link in range(n_links):
+                    arm = links.pose[link, 1] - y
+                    push(links, link, 0, cover.of_u[link, i, j] * slip, arm)
+            if j > 0 and cover.open_v[i, j] < 1.0:
+                slip = (1.0 - cover.open_v[i, j]) * water.v[i, j]
+                for link in range(n_links):
+                    slip -= cover.of_v[link, i, j] * _velocity_v(links, before, link, x, length)
+                slip *= per_velocity * (1.0 if j < n_rows else 0.5) / (1.0 - cover.open_v[i, j])
+                for link in range(n_links):
+                    arm = wrapped(x - links.pose[link, 0], length)
+                    push(links, link, 1, cover.of_v[link, i, j] * slip, arm)
 
 
 def _fill(grid: Grid, links: Links, water: Water, cover: Cover) -> None:
-    """Give what links cover their velocity, and the air above the surface the velocity at the surface."""
+    """Let the surface rise, and give what links cover their velocity."""
     h, (n_columns, n_rows) = grid.spacing, water.u.shape
     for i in range(n_columns):
-        for j in range(n_rows):
-            if cover.open_u[i, j] < 1.0:
+        water.rise[i] += grid.time_step * cover.open_v[i, n_rows] * water.v[i, n_rows]
+        for j in range(n_rows + 1):
+            if j < n_rows and cover.open_u[i, j] < 1.0:
                 water.u[i, j] *= cover.open_u[i, j]
                 for link in range(len(links.mass)):
                     at = (j + 0.5) * h + grid.floor
@@ -78,9 +82,6 @@ def _fill(grid: Grid, links: Links, water: Water, cover: Cover) -> None:
                 for link in range(len(links.mass)):
                     at = _velocity_v(links, links.velocity, link, (i + 0.5) * h, n_columns * h)
                     water.v[i, j] += cover.of_v[link, i, j] * at
-        wet = max(n_wet(water, i - 1), n_wet(water, i))
-        water.u[i, wet:] = water.u[i, wet - 1] if wet else 0.0
-        water.v[i, n_wet(water, i) + 1 :] = water.v[i, n_wet(water, i)]
 
 
 rub, fill = compiled(_rub, seconds=3), compiled(_fill, seconds=3)
@@ -97,7 +98,6 @@ class Flume:
         *,
         length: float = 24.0,
         depth: float = 4.0,
-        headroom: float = 2.0,
         spacing: float = 0.25,
         density: float = 1.25,
         gravity: float = 9.8,
@@ -110,25 +110,23 @@ class Flume:
             mass: (n_links,) [kg].
             inertia: (n_links,) moments of inertia [kg·m²].
             length: around the flume [m].
-            depth: of the water [m].
-            headroom: height over the water up to which the surface may rise [m].
+            depth: of the water, to the nearest cell [m].
             spacing: edge of a cell [m].
             density: of the water [kg/m²].
             gravity: [m/s²].
             time_step: [s].
         """
         n_links, n_columns = len(length_scale), max(4, round(length / spacing))
-        shape = n_columns, max(1, round((depth + headroom) / spacing))
+        shape = n_columns, max(1, round(depth / spacing))
         faces = n_columns, shape[1] + 1
-        self.grid = Grid(spacing, -depth, density, gravity, time_step)
-        self.water = Water(np.zeros(shape), np.zeros(faces), np.full(n_columns, depth / spacing))
+        self.grid = Grid(spacing, -spacing * shape[1], density, gravity, time_step)
+        self.water = Water(np.zeros(shape), np.zeros(faces), np.zeros(n_columns))
         pose, velocity = np.zeros((n_links, 3)), np.zeros((n_links, 3))
         self.links = Links(length_scale, 1 / length_scale, mass, inertia, pose, velocity)
         self.cover = Cover(
             np.zeros((n_links, *shape)), np.zeros((n_links, *faces)), np.ones(shape), np.ones(faces), np.ones(n_links)
         )
         self._order, self._number = cell_order(n_columns), np.empty(shape, np.int64)
-        self._volume = -1.0
 
     def step(
         self, x: Float64, y: Float64, angle: Float64, vx: Float64, vy: Float64, omega: Float64
@@ -153,7 +151,7 @@ class Flume:
         carry(grid, water)
         cover_faces(grid, links, cover)
         rub(grid, links, water, cover, before)
-        self._volume = float_links(grid, links, water, cover, self._volume)
+        float_links(grid, links, cover)
         project(grid, links, water, cover, self._order, self._number)
         fill(grid, links, water, cover)
         dvx, dvy, domega = (links.velocity - tentative).T

@@ -1,9 +1,8 @@
 """The staggered grid of a flume, and what of it is water.
 
 Harlow and Welch (1965): velocities along x are at the middle of the vertical faces of cells, those along y at the
-middle of the horizontal ones. The flume closes upon itself along x. The surface is a height for each column of cells,
-as in Casulli (1999, "A semi-implicit finite difference method for non-hydrostatic, free-surface flows"): the topmost
-wet cell of a column reaches to the surface, so its height is 0.5 to 1.5 spacings.
+middle of the horizontal ones. The flume closes upon itself along x. The surface is that of linear waves (Newman 1977,
+"Marine Hydrodynamics", chapter 6): it rises and falls, and its weight presses on the plane y = 0, where the grid ends.
 """
 
 # mypy: warn-return-any=False
@@ -13,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from tasks.arrays import Float64, Int64
-from tasks.compiled import inline
 
 
 class Grid(NamedTuple):
     """Constants of a flume."""
 
     spacing: float  # h, edge of a cell [m]
-    floor: float  # height of the floor; the mean water level is 0 [m]
+    floor: float  # height of the floor; the surface is at 0 [m]
     density: float  # ρ of the fluid [kg/m²]
     gravity: float  # [m/s²]
     time_step: float  # [s]
@@ -31,7 +29,7 @@ class Water(NamedTuple):
 
     u: Float64  # (n_columns, n_rows) velocity along x at the left faces of cells [m/s]
     v: Float64  # (n_columns, n_rows + 1) velocity along y at the lower faces of cells [m/s]
-    level: Float64  # (n_columns,) height of the surface over the floor [spacings]
+    rise: Float64  # (n_columns,) of the surface over y = 0 [m]
 
 
 class Links(NamedTuple):
@@ -53,28 +51,6 @@ class Cover(NamedTuple):
     open_u: Float64  # (n_columns, n_rows) share of each left face that is open
     open_v: Float64  # (n_columns, n_rows + 1)
     single: Float64  # (n_links,) share of each link that is its own where links overlap
-
-
-@inline
-def n_wet(water: Water, column: int) -> int:
-    """Return the number of wet cells in a column."""
-    return max(0, min(int(np.floor(water.level[column] + 0.5)), water.u.shape[1]))
-
-
-@inline
-def cell_height(water: Water, column: int, row: int) -> float:
-    """Return how much of a cell is water, in spacings: 0 above the surface, 0.5 to 1.5 at it, 1 below."""
-    n = n_wet(water, column)
-    if row >= n:
-        return 0.0
-    return min(water.level[column] - row, 1.5) if row == n - 1 else 1.0
-
-
-@inline
-def face_height(water: Water, column: int, row: int) -> float:
-    """Return how much of a cell's left face is wet, in spacings: the mean of both cells, or the one that is wet."""
-    left, right = cell_height(water, column - 1, row), cell_height(water, column, row)
-    return (left + right) / 2 if left > 0.0 and right > 0.0 else left + right
 
 
 def cell_order(n_columns: int) -> Int64:

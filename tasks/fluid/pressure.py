@@ -19,9 +19,9 @@ import numpy as np
 
 from tasks.arrays import Float64, Int64
 from tasks.compiled import compiled, inline
-from tasks.fluid.grid import Cover, Grid, Links, Water, face_height, n_wet
+from tasks.fluid.grid import Cover, Grid, Links, Water
 
-_THINNEST = 0.1  # least water between a cell's middle and the surface [spacings]
+_LEAK = 0.01  # what of a face leads from a cell that links cover out of the fluid: pockets that they squeeze give way
 
 
 @inline
@@ -49,13 +49,13 @@ def _substitute(band: Float64, right: Float64) -> None:
 
 
 @inline
-def _count(water: Water, cover: Cover, order: Int64, number: Int64) -> int:
+def _count(cover: Cover, order: Int64, number: Int64) -> int:
     """Count the cells that have a pressure, and write their numbers, -1 for others."""
     n = 0
     number[:] = -1
     for i in order:
         right = (i + 1) % len(order)
-        for j in range(n_wet(water, i)):
+        for j in range(number.shape[1]):
             top = cover.open_v[i, j + 1]
             if cover.open_u[i, j] + cover.open_u[right, j] + cover.open_v[i, j] + top > 0.0:
                 number[i, j] = n
@@ -99,8 +99,8 @@ def _add_links(right: Float64, lower: int, upper: int, link: int, part: int, are
 
 
 @inline
-def _push_at_surface(links: Links, link: int, part: int, impulse: float, arm: float) -> None:
-    """Push a link by the pressure of the surface along x (part 0) or y (part 1)."""
+def push(links: Links, link: int, part: int, impulse: float, arm: float) -> None:
+    """Push a link by an impulse along x (part 0) or y (part 1), with its arm about the link's centre."""
     links.velocity[link, part] += impulse / links.mass[link]
     links.velocity[link, 2] += impulse * arm / links.inertia[link]
 
@@ -112,54 +112,36 @@ def wrapped(distance: float, length: float) -> float:
 
 
 @inline
-def _reach_u(water: Water, i: int, j: int) -> float:
-    """Return the water between the middles of the cells beside a left face, or of one and the surface [spacings]."""
-    left, right = water.level[i - 1], water.level[i]
-    if j < min(n_wet(water, i - 1), n_wet(water, i)):
-        return 1.0
-    return max(_THINNEST, (max(left, right) - j - 0.5) / abs(right - left))
-
-
-@inline
 def _assemble(
     grid: Grid, links: Links, water: Water, cover: Cover, number: Int64, band: Float64, right: Float64
 ) -> None:
     """Write A to ``band``, and -D u* and the columns of Kᵀ to ``right``; subtract the pressure of the surface from u*.
 
-    Pressures are over those of still water, -ρ g y, so gravity acts at the surface alone, and still water is still.
+    Pressures are over those of still water, -ρ g y: the rise of the surface is what drives the water, and still water
+    is still.
     """
-    h, n_columns = grid.spacing, len(water.level)
-    weight = grid.gravity * grid.time_step
+    h, (n_columns, n_rows) = grid.spacing, water.u.shape
     for i in range(n_columns):
-        for j in range(max(n_wet(water, i - 1), n_wet(water, i))):
-            lower, upper, area = number[i - 1, j], number[i, j], h * face_height(water, i, j)
-            reach, head = h * _reach_u(water, i, j), 0.0
-            if j >= n_wet(water, i - 1):
-                head = weight * ((j + 0.5) * h + grid.floor)
-            elif j >= n_wet(water, i):
-                head = -weight * ((j + 0.5) * h + grid.floor)
-            water.u[i, j] += head / reach
-            area_open = area * cover.open_u[i, j]
-            _add_face(band, right, lower, upper, area_open * water.u[i, j], area_open / (grid.density * reach))
+        water.v[i, n_rows] -= grid.gravity * grid.time_step * water.rise[i] / (h / 2)
+        for j in range(n_rows):
+            lower, upper, opening = number[i - 1, j], number[i, j], cover.open_u[i, j]
+            _add_face(band, right, lower, upper, h * opening * water.u[i, j], opening / grid.density)
             for link in range(len(links.length)):
                 if cover.of_u[link, i, j] > 0.0:
                     arm = links.pose[link, 1] - grid.floor - (j + 0.5) * h
-                    _add_links(right, lower, upper, link, 0, area * cover.of_u[link, i, j], arm)
-                    _push_at_surface(links, link, 0, grid.density * head * area * cover.of_u[link, i, j], arm)
-        n = n_wet(water, i)
-        for j in range(1, n + 1):
-            lower, upper, reach, head = number[i, j - 1], number[i, j] if j < n else -1, h, 0.0
-            if j == n:
-                reach = h * max(_THINNEST, water.level[i] - n + 0.5)
-                head = -weight * (water.level[i] * h + grid.floor)
-            water.v[i, j] += head / reach
-            area_open = h * cover.open_v[i, j]
-            _add_face(band, right, lower, upper, area_open * water.v[i, j], area_open / (grid.density * reach))
+                    _add_links(right, lower, upper, link, 0, h * cover.of_u[link, i, j], arm)
+            if upper >= 0:
+                right_u, bottom = cover.open_u[(i + 1) % n_columns, j], cover.open_v[i, j] if j else 1.0
+                open_part = (opening + right_u + bottom + cover.open_v[i, j + 1]) / 4
+                band[upper, 0] += _LEAK / grid.density * (1.0 - open_part)
+        for j in range(1, n_rows + 1):
+            lower, upper, opening = number[i, j - 1], number[i, j] if j < n_rows else -1, cover.open_v[i, j]
+            reach = 1.0 if j < n_rows else 0.5
+            _add_face(band, right, lower, upper, h * opening * water.v[i, j], opening / (grid.density * reach))
             for link in range(len(links.length)):
                 if cover.of_v[link, i, j] > 0.0:
                     arm = wrapped((i + 0.5) * h - links.pose[link, 0], n_columns * h)
                     _add_links(right, lower, upper, link, 1, h * cover.of_v[link, i, j], arm)
-                    _push_at_surface(links, link, 1, grid.density * head * h * cover.of_v[link, i, j], arm)
 
 
 @inline
@@ -189,22 +171,23 @@ def _push_links(links: Links, band: Float64, right: Float64) -> None:
 @inline
 def _push_water(grid: Grid, water: Water, number: Int64, pressure: Float64) -> None:
     """Add the impulse of the pressure to the open parts of faces."""
-    for i in range(len(number)):
-        for j in range(max(n_wet(water, i - 1), n_wet(water, i))):
+    n_columns, n_rows = number.shape
+    per_pressure = 1.0 / (grid.density * grid.spacing)
+    for i in range(n_columns):
+        for j in range(n_rows):
             lower = pressure[number[i - 1, j]] if number[i - 1, j] >= 0 else 0.0
-            upper = pressure[number[i, j]] if number[i, j] >= 0 else 0.0
-            water.u[i, j] += (lower - upper) / (grid.density * grid.spacing * _reach_u(water, i, j))
-        n = n_wet(water, i)
-        for j in range(1, n + 1):
-            lower = pressure[number[i, j - 1]] if number[i, j - 1] >= 0 else 0.0
-            upper = pressure[number[i, j]] if j < n and number[i, j] >= 0 else 0.0
-            reach = max(_THINNEST, water.level[i] - n + 0.5) if j == n else 1.0
-            water.v[i, j] += (lower - upper) / (grid.density * grid.spacing * reach)
+            here = pressure[number[i, j]] if number[i, j] >= 0 else 0.0
+            below = pressure[number[i, j - 1]] if j and number[i, j - 1] >= 0 else 0.0
+            water.u[i, j] += (lower - here) * per_pressure
+            if j:
+                water.v[i, j] += (below - here) * per_pressure
+            if j == n_rows - 1:
+                water.v[i, n_rows] += here * per_pressure / 0.5
 
 
 def _project(grid: Grid, links: Links, water: Water, cover: Cover, order: Int64, number: Int64) -> None:
     """Replace tentative velocities of the fluid and the links by those without divergence."""
-    n = _count(water, cover, order, number)
+    n = _count(cover, order, number)
     band, right = np.zeros((n, _width(number))), np.zeros((n, 1 + 3 * len(links.length)))
     _assemble(grid, links, water, cover, number, band, right)
     _eliminate(band, right)

@@ -1,4 +1,4 @@
-"""The fluid carries its momentum and its surface along.
+"""The fluid carries its momentum along.
 
 A second-order upwind scheme in flux form: what leaves a control volume enters the next one. Its limiter, Koren's
 (1993), makes no new extremes. Covered faces take part, with the velocity of the links.
@@ -10,9 +10,10 @@ import numpy as np
 
 from tasks.arrays import Float64
 from tasks.compiled import compiled, inline
-from tasks.fluid.grid import Grid, Water, face_height, n_wet
+from tasks.fluid.grid import Grid, Water
 
 _MOST = 0.5  # most of a cell that flows through its faces in a substep
+_LARGEST = 50.0  # cells in a step that a flow of 750 m/s fills: nothing sound does
 
 
 @inline
@@ -33,23 +34,14 @@ def _through(flow: float, a: float, b: float, c: float, d: float) -> float:
 
 @inline
 def _flows(grid: Grid, water: Water, of_u: Float64, of_v: Float64) -> float:
-    """Write what flows through the faces in a step [cells], and return the most that flows out of or into a cell."""
-    share, most = grid.time_step / grid.spacing, 0.0
-    n_columns = len(water.level)
-    of_u[:], of_v[:] = 0.0, 0.0
-    for i in range(n_columns):
-        for j in range(max(n_wet(water, i - 1), n_wet(water, i))):
-            of_u[i, j] = share * face_height(water, i, j) * water.u[i, j]
-        for j in range(1, n_wet(water, i)):
-            of_v[i, j] = share * water.v[i, j]
-            most = max(most, abs(of_u[i, j]) + abs(of_v[i, j]))
-    return most
+    """Write what flows through the faces in a step [cells], and return the most that flows through two of a cell.
 
-
-@inline
-def _after(value: float, mass: float, out: float, carried_out: float) -> float:
-    """Return the value of a control volume after flows out of it, which carry values away."""
-    return value + (value * out - carried_out) / max(mass - out, 0.5)
+    Nothing flows through the surface, which moves with the water.
+    """
+    of_u[:] = grid.time_step / grid.spacing * water.u
+    of_v[:] = grid.time_step / grid.spacing * water.v
+    of_v[:, -1] = 0.0
+    return (np.abs(of_u) + np.abs(of_v[:, :-1])).max()
 
 
 @inline
@@ -57,61 +49,51 @@ def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
     """Carry the momentum along x, around each left face."""
     n_columns, n_rows = old.shape
     for i in range(n_columns):
-        left, right = i - 1, (i + 1) % n_columns
-        for j in range(max(n_wet(water, left), n_wet(water, i))):
+        left, right, further = i - 1, (i + 1) % n_columns, (i + 2) % n_columns
+        for j in range(n_rows):
+            below, above = max(j - 1, 0), min(j + 1, n_rows - 1)
+            lowest, highest = max(j - 2, 0), min(j + 2, n_rows - 1)
             west, east = share * (of_u[left, j] + of_u[i, j]) / 2, share * (of_u[i, j] + of_u[right, j]) / 2
             south, north = share * (of_v[left, j] + of_v[i, j]) / 2, share * (of_v[left, j + 1] + of_v[i, j + 1]) / 2
-            further, below, above = (i + 2) % n_columns, max(j - 1, 0), min(j + 1, n_rows - 1)
-            lowest, highest = max(j - 2, 0), min(j + 2, n_rows - 1)
-            here = old[i, j]
-            carried = (
-                _through(east, old[left, j], here, old[right, j], old[further, j])
-                - _through(west, old[i - 2, j], old[left, j], here, old[right, j])
-                + _through(north, old[i, below], here, old[i, above], old[i, highest])
-                - _through(south, old[i, lowest], old[i, below], here, old[i, above])
+            water.u[i, j] = (
+                old[i, j]
+                + _through(west, old[i - 2, j], old[left, j], old[i, j], old[right, j])
+                - _through(east, old[left, j], old[i, j], old[right, j], old[further, j])
+                + _through(south, old[i, lowest], old[i, below], old[i, j], old[i, above])
+                - _through(north, old[i, below], old[i, j], old[i, above], old[i, highest])
             )
-            water.u[i, j] = _after(here, face_height(water, i, j), east - west + north - south, carried)
 
 
 @inline
 def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: float) -> None:
-    """Carry the momentum along y, around each lower face."""
+    """Carry the momentum along y, around each lower face; half a cell below the surface belongs to the last."""
     n_columns, n_rows = of_u.shape
     for i in range(n_columns):
         left, right, further = i - 1, (i + 1) % n_columns, (i + 2) % n_columns
-        n = n_wet(water, i)
-        for j in range(1, n + 1):
-            top = min(j, n_rows - 1)
-            west, east = (
-                share * (of_u[i, j - 1] + of_u[i, top]) / 2,
-                share * (of_u[right, j - 1] + of_u[right, top]) / 2,
-            )
-            south, north = share * (of_v[i, j - 1] + of_v[i, j]) / 2, share * (of_v[i, j] + of_v[i, min(j + 1, n)]) / 2
-            if j == n:
-                north = 0.0
+        for j in range(1, n_rows + 1):
             lowest, above, highest = max(j - 2, 0), min(j + 1, n_rows), min(j + 2, n_rows)
-            here = old[i, j]
-            carried = (
-                _through(east, old[left, j], here, old[right, j], old[further, j])
-                - _through(west, old[i - 2, j], old[left, j], here, old[right, j])
-                + _through(north, old[i, j - 1], here, old[i, above], old[i, highest])
-                - _through(south, old[i, lowest], old[i, j - 1], here, old[i, above])
+            west, east = of_u[i, j - 1], of_u[right, j - 1]
+            if j < n_rows:
+                west, east = west + of_u[i, j], east + of_u[right, j]
+            west, east = share * west / 2, share * east / 2
+            south = share * (of_v[i, j - 1] + of_v[i, j]) / 2
+            north = share * (of_v[i, j] + of_v[i, above]) / 2 if j < n_rows else 0.0
+            gain = (
+                _through(west, old[i - 2, j], old[left, j], old[i, j], old[right, j])
+                - _through(east, old[left, j], old[i, j], old[right, j], old[further, j])
+                + _through(south, old[i, lowest], old[i, j - 1], old[i, j], old[i, above])
+                - _through(north, old[i, j - 1], old[i, j], old[i, above], old[i, highest])
             )
-            mass = water.level[i] - n + 0.5 if j == n else 1.0
-            water.v[i, j] = _after(here, mass, east - west + north - south, carried)
+            water.v[i, j] = old[i, j] + (gain if j < n_rows else 2.0 * gain)
 
 
 def _carry(grid: Grid, water: Water) -> None:
-    """Carry the momentum and the surface along for a step."""
+    """Carry the momentum of the water along for a step."""
     of_u, of_v = np.empty_like(water.u), np.empty_like(water.v)
-    n_substeps = int(np.ceil(_flows(grid, water, of_u, of_v) / _MOST))
+    n_substeps = int(np.ceil(min(_flows(grid, water, of_u, of_v), _LARGEST) / _MOST))
     for _ in range(n_substeps):
         _carry_u(water, water.u.copy(), of_u, of_v, 1.0 / n_substeps)
         _carry_v(water, water.v.copy(), of_u, of_v, 1.0 / n_substeps)
-    for i in range(len(water.level)):
-        right = (i + 1) % len(water.level)
-        for j in range(water.u.shape[1]):
-            water.level[i] += of_u[i, j] - of_u[right, j]
 
 
 carry = compiled(_carry, seconds=5)

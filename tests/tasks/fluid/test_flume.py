@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from tasks.fluid import Flume
+from tasks.fluid.buoyancy import displaced
 from tasks.fluid.cover import covered
-from tasks.fluid.grid import face_height, n_wet
-from tasks.fluid.surface import displaced
 
 DT, G, RHO = 1 / 60, 9.8, 1.25
 
@@ -33,31 +32,23 @@ class FreeLinks:
         self.velocity[:, 1] -= self.flume.grid.gravity * DT
         self.pose += DT * self.velocity
 
-    def wet_heights(self):
-        water = self.flume.water
-        return np.array([[face_height(water, i, j) for j in range(water.u.shape[1])] for i in range(len(water.level))])
-
     def momentum(self):
         """Of the water in the open parts of faces and of the links, along x."""
-        flume, heights, links = self.flume, self.wet_heights(), self.flume.links
-        of_water = heights * flume.water.u
-        rows = (np.arange(heights.shape[1]) + 0.5) * flume.grid.spacing + flume.grid.floor
+        flume, links = self.flume, self.flume.links
+        of_water = flume.water.u.copy()
+        rows = (np.arange(of_water.shape[1]) + 0.5) * flume.grid.spacing + flume.grid.floor
         for share, velocity, pose in zip(flume.cover.of_u, links.velocity, links.pose, strict=True):
-            of_water = of_water - heights * share * (velocity[0] - velocity[2] * (rows - pose[1]))
+            of_water -= share * (velocity[0] - velocity[2] * (rows - pose[1]))
         return RHO * flume.grid.spacing**2 * of_water.sum() + links.mass @ links.velocity[:, 0]
 
     def energy(self):
         """Of the water, and of links of the water's density, which all are under water."""
         water, cover, grid, links = self.flume.water, self.flume.cover, self.flume.grid, self.flume.links
-        of_v = np.ones_like(water.v)
-        for i, level in enumerate(water.level):
-            n = n_wet(water, i)
-            of_v[i, n:] = 0.0
-            of_v[i, n] = level - n + 0.5
-        squares = (self.wet_heights() * cover.open_u * water.u**2).sum() + (of_v * cover.open_v * water.v**2).sum()
+        half = np.ones(water.v.shape[1])
+        half[-1] = 0.5  # of the cell below the surface
+        squares = (cover.open_u * water.u**2).sum() + (half * cover.open_v * water.v**2).sum()
         of_water = RHO / 2 * grid.spacing**2 * squares
-        height = water.level * grid.spacing + grid.floor
-        of_surface = RHO * G / 2 * grid.spacing * (height**2).sum()
+        of_surface = RHO * G / 2 * grid.spacing * (water.rise**2).sum()
         speeds = np.square(links.velocity)
         return of_water + of_surface + (links.mass @ (speeds[:, 0] + speeds[:, 1]) + links.inertia @ speeds[:, 2]) / 2
 
@@ -81,10 +72,10 @@ def test_a_link_floats_as_archimedes_says(length_scale, angle):
     under = []
     for step in range(600):
         links.step()
-        flume = links.flume
-        surface = flume.water.level.mean() * flume.grid.spacing + flume.grid.floor
         if step >= 300:
-            under.append(displaced(flume.links, 0, surface)[0])
+            flume = links.flume
+            rise = flume.water.rise.mean()  # by what the link displaces
+            under.append(displaced(flume.links, 0)[0] + rise / height)
     assert np.mean(under) == pytest.approx(1 / RHO, rel=0.05)
 
 
@@ -98,7 +89,7 @@ def test_added_mass_is_that_of_potential_flow(length_scale, angle, coefficient):
     C is 1.51 for a square and about 1.14 for 9:1, in any direction for a square; within 15 %.
     """
     direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-    links = FreeLinks([length_scale], (12.1, -6.07, angle), direction, depth=12.0, headroom=0.5, gravity=0.0)
+    links = FreeLinks([length_scale], (12.1, -6.07, angle), direction, depth=12.0, gravity=0.0)
     after = 1.0 + links.change()[0] @ direction
     assert 1 / after - 1 == pytest.approx(coefficient * np.pi * RHO, rel=0.15)
 

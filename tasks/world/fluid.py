@@ -1,0 +1,77 @@
+"""A fluid: incompressible, two-dimensional, with a free surface, around all links of a robot together.
+
+It is solved on a grid (:mod:`tasks.fluid`), and remembers: a link meets the wakes and waves of the others and its own.
+Nobody wrote it as a function of a link's state, so it is a target that networks can't contain.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from tasks.fluid import Flume
+from tasks.parameters import Parameters
+from tasks.world.medium import LinkStates, VelocityChange
+from tasks.world.physics import Physics
+from tasks.world.registry import register_medium
+
+
+class FluidFlume(Parameters):
+    """A fluid in a flume that closes upon itself along x: each robot, and each thrown bar, has one of its own."""
+
+    density: float = Field(default=1.25, gt=0.0, le=1e4)
+    """ρ [kg/m²]; the slush's."""
+    spacing: float = Field(default=0.25, ge=0.02, le=0.33)
+    """Edge of a cell of the grid [m]; a link, at least 0.33 m wide, must be wider. Half of it takes sixteen times as
+    long."""
+    length: float = Field(default=24.0, ge=4.0, le=1000.0)
+    """Length of a robot's flume [m]. A robot that goes further than that meets its own wake."""
+    bar_length: float = Field(default=12.0, ge=4.0, le=1000.0)
+    """Length of a thrown bar's flume [m]."""
+    bar_depth: float = Field(default=9.0, ge=1.0, le=100.0)
+    """Depth of a thrown bar's flume [m]; the bar falls through its floor."""
+
+    def start(self, links: LinkStates, physics: Physics, depth: float) -> Flumes:
+        """Return still water around designs."""
+        return Flumes(self, links, physics, depth)
+
+
+class Flumes:
+    """A flume for each member and design."""
+
+    def __init__(self, fluid: FluidFlume, links: LinkStates, physics: Physics, depth: float) -> None:
+        thrown = math.isinf(depth)
+        is_dry = depth < fluid.spacing / 2
+        self._flumes = (
+            {}
+            if is_dry
+            else {
+                world: Flume(
+                    *(of[world].astype(np.float64) for of in (links.length_scale, links.mass, links.inertia)),
+                    length=fluid.bar_length if thrown else fluid.length,
+                    depth=fluid.bar_depth if thrown else depth,
+                    spacing=fluid.spacing,
+                    density=fluid.density,
+                    gravity=physics.gravity,
+                    time_step=physics.time_step,
+                )
+                for world in np.ndindex(links.y.shape[:-1])
+            }
+        )
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (that of the start)
+        """Take a step in every flume, but in those of robots whose states are not finite."""
+        angle = np.arctan2(links.sin, links.cos)
+        states = np.stack((links.x, links.y, angle, links.vx, links.vy, links.omega), axis=-2).astype(np.float64)
+        changes = np.zeros((3, *links.y.shape), links.y.dtype)
+        for world, flume in self._flumes.items():
+            if np.isfinite(states[world]).all():
+                changes[(slice(None), *world)] = flume.step(*states[world])
+        return VelocityChange(*changes)
+
+
+register_medium(
+    "fluid", FluidFlume, "Fluid", symbol="E_f", about="A fluid with waves and wakes, solved on a grid around all links."
+)

@@ -1,0 +1,48 @@
+"""The medium that is a fluid: each robot and each thrown bar is alone in its flume, wherever it is computed."""
+
+import numpy as np
+import pytest
+
+import puddle
+from tasks.design import random_designs
+from tasks.residual.throws import Throws, initial_states, simulate_throws
+from tasks.world import Physics, Pool
+from tasks.world.fluid import FluidFlume
+
+DESIGNS = random_designs(3, np.random.default_rng(7))
+SMALL = FluidFlume(length=8.0, bar_length=6.0, bar_depth=3.0)
+DURATION = {"n_settle": 5, "n_measure": 60, "trace": True}
+
+
+def test_a_robot_moves_the_same_alone_and_among_others():
+    together = puddle.simulate(DESIGNS, Pool(1.0, SMALL), **DURATION)
+    assert (together.status == "ok").all()
+    for k in (2, 0):
+        alone = puddle.simulate(DESIGNS[k : k + 1], Pool(1.0, SMALL), **DURATION)
+        np.testing.assert_array_equal(alone.trace[0], together.trace[k])
+
+
+def test_both_engines_agree():
+    batch, reference = (
+        puddle.simulate(DESIGNS, Pool(1.0, SMALL), engine=engine, **DURATION).trace for engine in ("batch", "reference")
+    )
+    np.testing.assert_array_equal(batch, reference)
+
+
+def test_there_is_no_water_over_ground_at_the_surface():
+    wet, dry = Pool(0.0, SMALL), puddle.DryLand(0.0)
+    of_both = [puddle.simulate(DESIGNS, there, **DURATION).trace for there in (wet, dry)]
+    np.testing.assert_array_equal(*of_both)
+
+
+def test_thrown_bars_lose_speed_under_water_and_end_afloat():
+    starts = initial_states(Throws(n_throws=4, n_steps=200), np.random.default_rng(0), Physics())
+    thrown = simulate_throws(starts, 200, SMALL, Physics())
+    speed = np.hypot(*thrown.state[:, 3:5].T).reshape(4, 200)
+    assert np.isfinite(thrown.state).all()
+    assert (speed[:, -1] < 0.5 * speed[:, 0].max()).all()
+
+
+def test_cells_are_narrower_than_links():
+    with pytest.raises(ValueError, match="spacing"):
+        FluidFlume(spacing=0.5)
