@@ -94,6 +94,10 @@ def test_the_preset_is_what_the_paper_built_within_what_servos_give():
     ("text", "message"),
     [
         ("physics: {passive_joints: locked}", r"passive_joints is locked.*expected evolution\.morphology\.n_actuated"),
+        (
+            "evolution: {controller: reflex, morphology: {unjoined_links: apart_in_gait}}",
+            r"morphology constrains gaits, but evolution\.controller reflex needs angle, .*or controller open_loop",
+        ),
         ("rollout: {n_settle: 0}\ntank: {}", r"rollout\.n_settle is 0.*tank.*expected at least 1"),
     ],
 )
