@@ -27,12 +27,13 @@ from tasks.world.physics import Physics
 
 # Rows of the kernel's own block: of a robot, and then of each link's joint with its parent; the root's are not used.
 DT, GROUND, GAIN, LIMIT, FREQUENCY, OF_ROBOT = range(6)
-PARENT, REST, AMPLITUDE, PHASE, MEMORY, GAINS = range(6)
+REST, AMPLITUDE, PHASE, MEMORY, GAINS = range(5)
 
 
 class Sensors(NamedTuple):
     """Where an engine has what a link senses: the row of each quantity of the first link, and where the speed goes."""
 
+    parent: int  # the engine's number of the parent
     angle: int
     omega: int
     length_scale: int
@@ -45,7 +46,7 @@ class Sensors(NamedTuple):
 
 # Of a kernel, which has its own.
 LAW: Callable[..., Any] = tuple
-AT, N_GAINS, REMEMBERS = Sensors(*[0] * 8), 0, False
+AT, N_GAINS, REMEMBERS = Sensors(*[0] * 9), 0, False
 
 
 @inline
@@ -63,7 +64,7 @@ def _command_motors(block: Block, own: Block, step: int) -> None:
     periods = own[FREQUENCY] * (dt * np.float32(step))
     for link in range(N_LINKS - 1, 0, -1):  # children first: they read what their parents remember of the step before
         k, of_joint = link * AT.stride, from_row(own, OF_ROBOT + link * n_rows)
-        parent, rest, memory = of_joint[PARENT], of_joint[REST], of_joint[MEMORY]
+        parent, rest, memory = block[AT.parent + k], of_joint[REST], of_joint[MEMORY]
         memory_above = _of_parent(own, OF_ROBOT + MEMORY, n_rows, parent)
         gains = from_row(of_joint, GAINS)
         blind = Joint(periods, of_joint[AMPLITUDE], of_joint[PHASE], gains, dt, memory, memory_above)
@@ -110,10 +111,9 @@ def motors_of(
     numbers = np.zeros((len(designs), n_rows), np.float32)
     numbers[:, :FREQUENCY] = physics.time_step, top_of_ground(depth), physics.motor_gain, fastest(physics)
     numbers[:, FREQUENCY] = designs.frequency
-    above = number[of_design, np.maximum(designs.parent, 0)]
     _, amplitude, phase, gains = joints_of(designs, designs.frequency)[:4]
     of_links = numbers[:, OF_ROBOT:].reshape(len(designs), N_LINKS, n_of_link)
-    of_links[of_design, number, :MEMORY] = np.stack((above, designs.rest_angle, amplitude, phase), axis=2)
+    of_links[of_design, number, :MEMORY] = np.stack((designs.rest_angle, amplitude, phase), axis=2)
     of_links[of_design, number, GAINS:] = gains.transpose(1, 2, 0)
     own = Block(max(len(design), 1) * n_rows, block.n_lanes)
     own.rows[: len(design) * n_rows].reshape(-1, n_rows, block.n_lanes)[:] = numbers[design].transpose(0, 2, 1)

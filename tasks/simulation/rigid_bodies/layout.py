@@ -27,13 +27,13 @@ class LinkRecord:
 
     The lever is the link's centre less the body's centre of mass; change_… is the velocity change by the medium,
     unkicked_… the velocity now, had only a fluid that reads kicks and gravity acted, and motor_speed what the
-    controller commands of the joint with its parent (tasks/simulation/motors.py).
+    controller commands of the joint with the parent (tasks/simulation/motors.py), whose number is a float for it.
     """
 
     x, y, angle, vx, vy, omega, cos, sin = [_FLOAT] * 8
     length_scale, mass, inertia = [_FLOAT] * 3
     change_vx, change_vy, change_omega, unkicked_vx, unkicked_vy, unkicked_omega = [_FLOAT] * 6
-    motor_speed = _FLOAT
+    parent, motor_speed = [_FLOAT] * 2
     lever_x, lever_y = [_FLOAT] * 2
     body = 0
     local_x, local_y, local_angle, local_cos, local_sin, local_lever_x, local_lever_y = [_FLOAT] * 7

@@ -151,7 +151,7 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
 
 
 def _pack_links(links: Records, designs: Designs, trees: KinematicTrees, rigid: RigidBodies) -> None:
-    links["length_scale"] = designs.length_scale
+    links["length_scale"], links["parent"] = designs.length_scale, designs.parent
     links["mass"], links["inertia"] = trees.mass, trees.inertia
     links["body"] = body_index(rigid)
     for name in ("x", "y", "angle", "cos", "sin", "lever_x", "lever_y"):

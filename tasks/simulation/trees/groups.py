@@ -21,7 +21,15 @@ from tasks.world.physics import Physics
 advance_kernel = compiled(step.advance, seconds=12)
 
 _SENSORS = Sensors(
-    layout.ANGLE, layout.OMEGA, layout.LONG_AXIS, layout.Y, layout.COS, layout.SIN, layout.MOTOR_SPEED - 1, stride=1
+    layout.PARENT - 1,
+    layout.ANGLE,
+    layout.OMEGA,
+    layout.LONG_AXIS,
+    layout.Y,
+    layout.COS,
+    layout.SIN,
+    layout.MOTOR_SPEED - 1,
+    stride=1,
 )
 _ROWS = Rows(
     read=tuple(layout.QUANTITIES.values()),
