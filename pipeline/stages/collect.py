@@ -33,6 +33,7 @@ from pipeline.workflow.stage import (
 from tasks.bench.tracks import Tracks, residual_transitions
 from tasks.bench.tracks.residuals import N_FOLDS
 from tasks.residual import STATE, Throws, Transitions, form_named, initial_states, robot_ranges, simulate_throws
+from tasks.residual.forms import kicks_unseen
 from tasks.seeding import generator, replicate_seed
 from tasks.world import EnvironmentName, Physics
 
@@ -47,6 +48,7 @@ _UNITS = {
     "next_in_target": _STATE_UNITS,
     "next_on_dry_land": _STATE_UNITS,
     "residual": f"{', '.join(STATE)}, in the target minus on dry land [m, m, rad, m/s, m/s, rad/s]",
+    "kick": "vx, vy, omega [m/s, m/s, rad/s]",
     "residual_sd": f"deviations of {_STATE_UNITS}",
     "held_out": "",
 }
@@ -116,7 +118,7 @@ def _compute(item: Item[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
     assert medium is not None  # what the base simulator lacks and the networks learn
     transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
     files = {TRANSITIONS.name: _encoded(transitions)}
-    if spec.throws.design == "robots":
+    if spec.throws.design != "paper":
         files[_RANGES] = encode_json(asdict(robot_ranges(spec.physics)))
     return files
 
@@ -156,8 +158,10 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
             continue
         transitions = read_transitions(chunks)
         name = "" if len(data_sets(settings)) == 1 else f"{data_set.label}: "
-        if warning := form_named(settings.ensembles[data_set.learner].network.form).warning(transitions):
-            lines.append(f"{name}{warning}")
+        form = form_named(settings.ensembles[data_set.learner].network.form)
+        lines += [
+            f"{name}{warning}" for warning in (form.warning(transitions), kicks_unseen(form, transitions)) if warning
+        ]
         if TRACK_REPORT in chunks[0]:
             folds = [decode_json(chunk[TRACK_REPORT], TRACK_REPORT) for chunk in chunks]
             n_further = int((transitions.throw < 0).sum())

@@ -99,7 +99,8 @@ class Ensemble:
         """Networks of the compiled kernel; None without the compiler, where the kernel would take minutes."""
         if numba.config.DISABLE_JIT:
             return None
-        return PackedNetworks(self.weights, self.biases, self.form.read, self.form.act)
+        form = self.form
+        return PackedNetworks(self.weights, self.biases, form.read, form.act, form.reads_kicks)
 
 
 def _folded(member: Mapping[str, Float32]) -> list[tuple[Float32, Float32]]:

@@ -127,6 +127,7 @@ def learner_of(
 
 NO_LEARNERS: Mapping[str, Learner] = MappingProxyType({})
 
+_DESIGNS = {"paper": "", "robots": "designed ", "struck": "struck "}  # of throws, as a label has them
 _KINDS: Mapping[str, ArmKind] = {
     kind.name: kind
     for kind in (
@@ -218,7 +219,7 @@ def arm_kind(name: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> ArmKin
     if learner is None or learner.use == "mean" or (name in _KINDS and not tracked):
         return kind
     throws, networks = learner.throws, "one network" if learner.is_single else "networks"
-    what = "your tank" if tracked else f"{throws.n_throws:,} {'designed ' * (throws.design == 'robots')}throws"
+    what = "your tank" if tracked else f"{throws.n_throws:,} {_DESIGNS[throws.design]}throws"
     label = f"{networks} of your tank" if name in _KINDS else f"{kind.label} ({what})"
     about = f"Dry Land with {networks} ({learner.network.form}) that learned from {'throws in ' * tracked}{what}."
     evolved = f"with the {label}" if tracked and not learner.is_single else kind.evolved

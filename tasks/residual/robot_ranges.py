@@ -22,6 +22,7 @@ from tasks.world import DryLand, Physics
 _MOST_STEPS = 200  # where there is no gravity: those of the paper's throws
 N_PILOTS = 256  # random designs whose links are observed
 QUANTILE = 0.999  # share of their states within the greatest speeds
+_QUANTILE_OF_KICKS = 0.99  # hard impacts are rare in water
 _N_SETTLE = 200  # steps before states are observed, in which robots drop to the ground
 
 
@@ -34,6 +35,8 @@ class RobotRanges:
     max_velocity: float  # vx and vy lie within ± this [m/s]
     max_omega: float  # ω lies within ± this [rad/s]
     n_steps: int  # steps that a throw is worth following
+    max_kick: float  # what joints, motors and contacts change of vx in a step lies mostly within ± this [m/s]
+    max_kick_omega: float  # the same of ω [rad/s]
 
 
 @cache
@@ -50,6 +53,8 @@ def robot_ranges(physics: Physics) -> RobotRanges:
     _, _, _, vx, vy, omega = np.moveaxis(rollouts.trace[:, _N_SETTLE:].astype(np.float64), -1, 0)
     speed, spin = np.hypot(vx, vy), np.abs(omega)
     max_velocity, max_omega = (float(np.quantile(values[np.isfinite(values)], QUANTILE)) for values in (speed, spin))
+    kicks = (np.abs(np.diff(values, axis=1)) for values in (vx, omega))
+    max_kick, max_kick_omega = (float(np.quantile(of[np.isfinite(of)], _QUANTILE_OF_KICKS)) for of in kicks)
     length = next(gene for gene in GENES if gene.name == "length_scale")
     gained = physics.gravity * physics.time_step  # by gravity in one step [m/s]
     n_steps = _MOST_STEPS if gained * _MOST_STEPS <= max_velocity else max(round(max_velocity / gained), 1)
@@ -59,4 +64,6 @@ def robot_ranges(physics: Physics) -> RobotRanges:
         max_velocity=round(max_velocity, 2),
         max_omega=round(max_omega, 2),
         n_steps=n_steps,
+        max_kick=round(max_kick, 2),
+        max_kick_omega=round(max_kick_omega, 2),
     )

@@ -10,7 +10,7 @@ metres per second and turn slowly. Throws that are designed for robots cover the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -27,6 +27,7 @@ from tasks.world.medium import MediumInRollout, MediumWithMemory
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
 _FLOOR = 0.1  # share of the residuals' deviation below which their uncertainty does not matter
+_STRUCK = 0.2  # share of the steps in which a bar is struck
 _X_REACH = 0.2  # initial x lies within ± this [m]; paper
 
 
@@ -41,10 +42,11 @@ class Throws(Parameters):
     n_steps: int | None = Field(default=200, ge=1, le=100_000)
     """Steps of each throw; the default is 3.3 s [P]. null: in throws for robots, as many as gravity takes to accelerate
     a link beyond the range of their speeds, about half a second."""
-    design: Literal["paper", "robots"] = "paper"
+    design: Literal["paper", "robots", "struck"] = "paper"
     """Starts: "paper" draws them uniformly within the ranges below [P]. "robots" spreads them evenly, as a scrambled
     Sobol sequence, over the states that links of random designs pass through in the base simulator, and ignores the
-    ranges below."""
+    ranges below. "struck" strikes these bars, too, in one of five steps, as hard as joints and motors do: a fluid that
+    is accelerated with a link answers such kicks, which networks of the forms plain_kicked and wetted_kicked see."""
     length_scales: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 2.0, 3.0), min_length=1)
     """Long axes of links, drawn with equal probability [m]. [P]"""
     y_reach: float = Field(default=6.0, ge=0.0, le=1000.0)
@@ -56,11 +58,13 @@ class Throws(Parameters):
 
     @model_validator(mode="after")
     def _ranges_are_used(self) -> Self:
-        if self.design == "robots":
+        if self.design != "paper":
             ranges = ("length_scales", "y_reach", "max_velocity", "max_omega")
             changed = [name for name in ranges if getattr(self, name) != type(self).model_fields[name].default]
             if changed:
-                raise ValueError(f"design is robots, which ignores {', '.join(changed)}: expected the design paper")
+                raise ValueError(
+                    f"design is {self.design}, which ignores {', '.join(changed)}: expected the design paper"
+                )
         elif self.n_steps is None:
             raise ValueError("n_steps is null, which only the design robots decides: expected at least 1")
         return self
@@ -81,13 +85,18 @@ class Starts(ArrayData):
     throw: Int64  # (n_throws,) index of the throw in the data set
     length_scale: Float64  # (n_throws,) long axis [m]
     state: Float32  # (n_throws, 6) initial state in the order of STATE
+    kick: Float32 = field(default_factory=lambda: np.zeros((1, 0, 3), np.float32))
+    """(n_throws, n_steps, 3) what strikes change of vx, vy and ω before each step; of no step by default."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kick", np.broadcast_to(self.kick, (len(self), *self.kick.shape[1:])))
 
     def __len__(self) -> int:
         return len(self.throw)
 
     def __getitem__(self, chunk: slice) -> Starts:
         """Return a chunk of the throws."""
-        return Starts(self.throw[chunk], self.length_scale[chunk], self.state[chunk])
+        return Starts(*(getattr(self, of.name)[chunk] for of in fields(self)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,6 +110,11 @@ class Transitions(ArrayData):
     next_in_target: Float32  # (n_transitions, 6) state after a step of E, of the medium thrown into
     next_on_dry_land: Float32  # (n_transitions, 6) state after a step of E'
     residual: Float32  # (n_transitions, 6) residual e = E(x) - E'(x), in the order of STATE
+    kick: Float32 = field(default_factory=lambda: np.zeros((1, 3), np.float32), kw_only=True)
+    """(n_transitions, 3) what strikes changed of vx, vy and ω just before; nothing by default."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kick", np.broadcast_to(self.kick, (len(self.throw), 3)))
 
     def columns(self) -> dict[str, Any]:
         """Return the arrays by name."""
@@ -113,7 +127,7 @@ class Transitions(ArrayData):
         """Return the links before the steps, each (n_transitions,)."""
         x, y, angle, vx, vy, omega = self.state.T
         of_links = link_constants(self.length_scale, physics)
-        return LinkStates(*of_links, y, np.cos(angle), np.sin(angle), vx, vy, omega, x)
+        return LinkStates(*of_links, y, np.cos(angle), np.sin(angle), vx, vy, omega, x, *self.kick.T)
 
     def __getitem__(self, rows: Bools | Int64) -> Self:
         """Select transitions by a mask, or by their numbers."""
@@ -152,13 +166,25 @@ class MeasuredTransitions(Transitions):
 def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | None = None) -> Starts:
     """Draw the starts of all throws; those for robots cover the states of robots in the base simulator of physics."""
     n = throws.n_throws
-    if throws.design == "robots":
-        return even_starts(n, physics or Physics(), rng)
+    if throws.design != "paper":
+        physics = physics or Physics()
+        starts = even_starts(n, physics, rng)
+        n_struck = throws.n_steps_of(physics) if throws.design == "struck" else 0
+        return replace(starts, kick=_kicks(n, n_struck, physics, rng))
     reach = np.array((_X_REACH, throws.y_reach, np.pi, *[throws.max_velocity] * 2, throws.max_omega))
     length_scale = rng.choice(np.array(throws.length_scales), size=n)
     state = rng.uniform(-1.0, 1.0, size=(n, len(STATE))) * reach
     state[:, STATE.index("angle")] += np.pi  # 0 to 2π
     return Starts(np.arange(n), length_scale, state.astype(np.float32))
+
+
+def _kicks(n: int, n_steps: int, physics: Physics, rng: np.random.Generator) -> Float32:
+    """Strike each of n bars in a share of n_steps steps, but not at once."""
+    ranges = robot_ranges(physics)
+    kick = rng.uniform(-1, 1, (n, n_steps, 3)) * (ranges.max_kick, ranges.max_kick, ranges.max_kick_omega)
+    kick *= rng.random((n, n_steps, 1)) < _STRUCK
+    kick[:, :1] = 0.0
+    return kick.astype(np.float32)
 
 
 def even_starts(
@@ -190,18 +216,23 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium | MediumWithMem
         physics: the base simulator's constants.
     """
     links = FreeLinks(starts.length_scale, physics)
-    n = len(starts)
+    n, struck = len(starts), starts.kick.shape[1] == n_steps
     state, in_slush, on_dry_land = np.empty((3, n, n_steps, len(STATE)), dtype=np.float32)
     now, around = starts.state, MediumInRollout(medium, np.inf)
     for step in range(n_steps):
         state[:, step] = now
+        if struck:
+            state[:, step, 3:] += starts.kick[:, step]
+            now = state[:, step]
         on_dry_land[:, step] = links.step(now, None)
         now = links.step(now, around)
         in_slush[:, step] = now
 
     x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))
     length_scale = np.repeat(starts.length_scale, n_steps)
-    return _transitions(np.repeat(starts.throw, n_steps), np.tile(np.arange(n_steps), n), length_scale, x, E, E_dry)
+    throw, number = np.repeat(starts.throw, n_steps), np.tile(np.arange(n_steps), n)
+    transitions = _transitions(throw, number, length_scale, x, E, E_dry)
+    return replace(transitions, kick=starts.kick.reshape(-1, 3)) if struck else transitions
 
 
 def _transitions(throw: Int64, step: Int64, a: Float64, x: Float32, E: Float32, E_dry: Float32) -> Transitions:

@@ -7,6 +7,7 @@ from tasks.residual.forms.form import (
     Targets,
     form_here,
     form_named,
+    kicks_unseen,
     observe,
     register_form,
     symmetric_copies,

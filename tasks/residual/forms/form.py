@@ -64,6 +64,7 @@ class Form:
     inputs: tuple[str, ...]  # names of what networks see
     read: Callable[[Any], tuple[Any, ...]]
     """Formula: the inputs, and then what is unseen, by the links' LinkStates."""
+    reads_kicks: bool = False  # whether ``read`` reads what joints, motors and contacts changed of a link's velocities
     unseen: tuple[str, ...] = ()  # what else ``read`` returns, for ``act`` alone
 
     outputs: tuple[str, ...]  # what the outputs are measured by; those after the first three have no error of their own
@@ -153,6 +154,19 @@ def form_here(name: str) -> Form | None:
         return form_named(name)
     except ValueError:
         return None
+
+
+def kicks_unseen(form: Form, transitions: Transitions) -> str:
+    """Say that a fluid answers strikes that networks of a form do not see; "" if it does not, or they do."""
+    struck = transitions.kick.any(axis=1) & transitions.residual[:, 3:].any(axis=1)
+    if form.reads_kicks or not struck.any():
+        return ""
+    kick, change = transitions.kick[struck, :2].ravel(), transitions.residual[struck, 3:5].ravel()
+    square = float(kick @ kick)
+    back = -float(kick @ change) / square  # strikes depend on nothing, so this slope is that of all else being equal
+    if back < 4 * float(change.std()) / square**0.5:
+        return ""
+    return f"the fluid takes back {back:.0%} of strikes, which these networks do not see: use the form wetted_kicked"
 
 
 def observe(form: Form, links: LinkStates) -> Float32:

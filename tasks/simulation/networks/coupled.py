@@ -29,7 +29,7 @@ from tasks.world.medium import MediumError
 
 # Of a kernel, which has its own.
 LAW: Callable[..., Any] = tuple
-ROWS = (0,) * 10
+ROWS, UNKICKED, KICKS, FALL = (0,) * 10, (0,) * 3, False, np.float32(0)
 
 
 class LinkCopies(NamedTuple):
@@ -70,7 +70,12 @@ def _read_link(link: Block, numbers: Block, n_in: int) -> None:  # noqa: ARG001 
         link[ROWS[7]],
         link[ROWS[8]],
     )
-    links = Links(length_scale, mass, inertia, y, cos, sin, vx, vy, omega, link[ROWS[9]], None, None, None)
+    kick: Any
+    if KICKS:  # noqa: SIM108 (of a constant)
+        kick = vx - link[UNKICKED[0]], vy - link[UNKICKED[1]], omega - link[UNKICKED[2]]
+    else:  # so a form that reads them unasked does not compile
+        kick = None, None, None
+    links = Links(length_scale, mass, inertia, y, cos, sin, vx, vy, omega, link[ROWS[9]], *kick)
     for k, value in enumerate(LAW(links)):
         numbers[k] = value
 
@@ -78,15 +83,25 @@ def _read_link(link: Block, numbers: Block, n_in: int) -> None:  # noqa: ARG001 
 def _act_on_link(link: Block, numbers: Block, n_in: int) -> None:
     """Add the changes by the outputs, which follow the inputs."""
     vx, vy, omega = LAW(from_row(numbers, n_in), numbers)
+    if KICKS:
+        link[UNKICKED[0]], link[UNKICKED[1]] = link[ROWS[3]] + vx, link[ROWS[4]] + vy + FALL
+        link[UNKICKED[2]] = link[ROWS[5]] + omega
     link[ROWS[0]], link[ROWS[1]], link[ROWS[2]] = link[ROWS[0]] + vx, link[ROWS[1]] + vy, link[ROWS[2]] + omega
 
 
 @functools.cache
-def _kernel(template: Callable[..., Any], law: Callable[..., Any], rows: tuple[int, ...]) -> Callable[..., Any]:
-    return specialised(template, law, seconds=1, ROWS=rows)
+def _kernel(
+    template: Callable[..., Any],
+    law: Callable[..., Any],
+    rows: tuple[int, ...],
+    unkicked: tuple[int, ...],
+    fall: np.float32,
+) -> Callable[..., Any]:
+    kicks = {"KICKS": True, "UNKICKED": unkicked, "FALL": fall} if unkicked else {}
+    return specialised(template, law, seconds=1, ROWS=rows, **kicks)
 
 
-def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows) -> Coupling:
+def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows, fall: np.float32) -> Coupling:
     """Return the coupling of robots with the networks of their members, for :func:`push`.
 
     Args:
@@ -95,6 +110,7 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows)
             of group i // n_lanes; lanes left over hold copies of the last robot, and stay copies.
         n_robots: number of robots, n_designs for each member; robot number member · n_designs + design.
         rows: where the blocks have the quantities of links.
+        fall: what gravity adds to vy in a step [m/s].
 
     Raises:
         MediumError: what networks read, or how they act, does not compile.
@@ -127,9 +143,12 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows)
         def address(template: Callable[..., Any], law: Callable[..., Any], quantities: tuple[int, ...]) -> Any:
             if not chosen.any():
                 return 0
-            scaled = tuple(row * (n_lanes // width) for row in quantities)
+            scaled, unkicked = (
+                tuple(row * (n_lanes // width) for row in of)
+                for of in (quantities, rows.unkicked if networks.reads_kicks else ())
+            )
             try:
-                return entry(_kernel(template, law, scaled), robots, numbers, n_in)
+                return entry(_kernel(template, law, scaled, unkicked, fall), robots, numbers, n_in)
             except NumbaError as error:
                 raise MediumError(uncompiled(error, law)) from error
 
@@ -143,7 +162,7 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows)
             n_out=n_out,
             numbers=numbers,
             read=address(_read_link, read, rows.read),
-            act=address(_act_on_link, act, rows.add),
+            act=address(_act_on_link, act, (*rows.add, *rows.read[6:9])),
         )
 
     return Coupling(

@@ -74,6 +74,7 @@ class PackedNetworks:
         biases: Sequence[Float32],
         read: Callable[..., Any] | None = None,
         act: Callable[..., Any] | None = None,
+        reads_kicks: bool = False,
     ) -> None:
         """Pack the weights of networks with ReLU after every layer but the last.
 
@@ -82,9 +83,10 @@ class PackedNetworks:
             biases: (n_members, n_out) of each layer.
             read: formula of the inputs, by the links' :class:`tasks.world.LinkStates`; None if no robots are coupled.
             act: formula of the changes of vx, vy and ω, by the outputs and the inputs.
+            reads_kicks: whether ``read`` reads the links' kicks.
         """
-        self._source = tuple(weights), tuple(biases), read, act
-        self.read, self.act = read, act
+        self._source = tuple(weights), tuple(biases), read, act, reads_kicks
+        self.read, self.act, self.reads_kicks = read, act, reads_kicks
         self.n_members, self.n_in, _ = weights[0].shape
         self.n_out = weights[-1].shape[2]
         sizes = [self.n_in, *(padded(weight.shape[2]) for weight in weights)]

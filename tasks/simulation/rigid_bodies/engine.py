@@ -114,7 +114,7 @@ class Robots:
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps without a trace in a medium that is a network for each member, all in one kernel."""
         rows = self._numbers.rows.reshape(self.n_robots, -1, 1)
-        coupling = coupled.couple(networks, rows, self.n_robots, _OF_LINKS)
+        coupling = coupled.couple(networks, rows, self.n_robots, _OF_LINKS, scene.fall)
         no_trace = np.empty((0, 0, N_LINKS, 6), np.float32)
         with np.errstate(all="ignore"):
             _advance_with_networks(

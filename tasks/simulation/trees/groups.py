@@ -140,7 +140,7 @@ class Groups:
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps in a medium of one network per member, in a single kernel."""
-        coupling = coupled.couple(networks, self.blocks, self.n_robots, _ROWS)
+        coupling = coupled.couple(networks, self.blocks, self.n_robots, _ROWS, scene.fall)
         with np.errstate(all="ignore"):
             _advance_coupled(
                 self._block, self.n_groups, scene, self._acting, first_step, n_steps, coupling, self._no_trace, False, 1

@@ -3,8 +3,10 @@ import pyarrow as pa
 import pytest
 from pydantic import ValidationError
 
-from tasks.residual import STATE, Throws, Transitions, initial_states, simulate_throws
+from tasks.residual import STATE, Throws, Transitions, form_named, initial_states, robot_ranges, simulate_throws
+from tasks.residual.forms import kicks_unseen
 from tasks.world import LinkStates, Physics, Slush
+from tasks.world.slush import slush_change, submerged_part
 
 PHYSICS = Physics()
 SLUSH = Slush()
@@ -80,3 +82,38 @@ def test_a_throw_does_not_depend_on_its_chunk(starts, transitions):
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         Throws(**wrong)
+
+
+class Heavy(Slush):
+    """A slush that takes back a share of what joints and strikes did to the part of a link that is in it."""
+
+    reads_kicks = True
+    share: float = 0.6
+
+    def factors(self, physics):
+        return (*super().factors(physics), self.share)
+
+    @staticmethod
+    def law(factors, links):
+        area, _ = submerged_part(links.length_scale, links.y, links.cos, links.sin)
+        x, y, angle = slush_change(factors, links, links.vx)
+        back = factors[4] * area
+        return x - back * links.kick_vx, y - back * links.kick_vy, angle - back * links.kick_omega
+
+
+def test_a_struck_bar_is_answered_by_a_fluid_that_reads_kicks():
+    throws = Throws(n_throws=40, n_steps=60, design="struck")
+    starts = initial_states(throws, np.random.default_rng(3), PHYSICS)
+    heavy, light = (simulate_throws(starts, 60, Heavy(share=share), PHYSICS) for share in (0.6, 0.0))
+    struck = heavy.kick.any(axis=1)
+    assert struck.mean() == pytest.approx(0.2, abs=4 * (0.16 / 2400) ** 0.5) and not heavy.kick[heavy.step == 0].any()
+    ranges = robot_ranges(PHYSICS)
+    assert np.abs(heavy.kick).max(axis=0) == pytest.approx([ranges.max_kick] * 2 + [ranges.max_kick_omega], rel=0.04)
+    links = heavy.links(PHYSICS)
+    area, _ = submerged_part(links.length_scale, links.y, links.cos, links.sin)
+    change = Slush().velocity_change(links, PHYSICS)
+    without = np.stack((change.vx, change.vy, change.omega), axis=1)
+    # As above, and a kick is measured to four roundings of velocities below 64.
+    assert np.abs(heavy.residual[:, 3:] - without + 0.6 * area[:, None] * heavy.kick).max() < 10 * 2**-19
+    plain, kicked = form_named("plain"), form_named("plain_kicked")
+    assert "takes back" in kicks_unseen(plain, heavy) and not kicks_unseen(kicked, heavy) + kicks_unseen(plain, light)

@@ -56,6 +56,7 @@ def test_a_form_that_does_not_fit_itself_is_refused(wrong, said):
 
 def test_an_unknown_form_is_answered_with_the_list():
     with pytest.raises(
-        ValueError, match="expected any of law, law_and_network, plain, signed_angle, wetted, got 'wet'"
+        ValueError,
+        match="any of law, law_and_network, plain, plain_kicked, signed_angle, wetted, wetted_kicked, got 'wet'",
     ):
         form_named("wet")
