@@ -63,7 +63,7 @@ $(VENV)/.installed-%: $(INSTALLED)
 	@$(call install,-C editable_mode=compat --constraint constraints.txt --editable ".[$*]")
 	@touch $@
 
-study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row-small, row, desk, paper, pontoon, tank)
+study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row-small, row, desk, paper, pontoon, tank, fluid)
 	$(PUDDLE) study --preset $(PRESET)
 
 test: $(INSTALLED_DEV) ## check style, format, types and layers, and run the tests

@@ -1,0 +1,56 @@
+"""Validate the fluid where tests would take minutes: drag, and robots at half the spacing. See docs/fluid.md.
+
+.venv/bin/python docs/results/fluid.py drag
+.venv/bin/python docs/results/fluid.py robots
+"""
+
+import sys
+
+import numpy as np
+
+import puddle
+from tasks.fluid import Flume
+from tasks.world.fluid import FluidFlume
+
+SPEED, DENSITY = 2.0, 1.25
+
+
+def drag(length_scale: float, spacing: float, length: float, depth: float, duration: float) -> tuple[float, float]:
+    """Return the mean drag coefficient and the deviation of lift of a link held upright in a current, second half.
+
+    The link is turned to and fro at first, so that eddies begin. Upstream of it the current is made even again.
+    """
+    a = np.array([length_scale])
+    flume = Flume(a, np.ones(1), (a**2 + a**-2) / 12, length=length, depth=depth, spacing=spacing)
+    water, force, still = flume.water, [], np.zeros(1)
+    water.u[:] = SPEED
+    upstream = slice(len(water.rise) * 3 // 4, None)
+    for step in range(int(duration * 60)):
+        t = step / 60 * SPEED / length_scale
+        angle = np.array([0.3 * np.sin(2 * np.pi * t / 6) if t < 6 else 0.0])
+        water.u[upstream] += (SPEED - water.u[upstream]) * 0.03
+        water.v[upstream] *= 0.97
+        dvx, dvy, _ = flume.step(np.array([length / 4]), np.array([-depth / 2]), angle, still, still, still)
+        force.append((dvx[0] * 60, dvy[0] * 60))
+    late = np.array(force[len(force) // 2 :]) / (DENSITY / 2 * SPEED**2 * length_scale)
+    return late[:, 0].mean(), late[:, 1].std()
+
+
+def robots() -> None:
+    """Print displacements of ten published champions at 4 m, at both spacings, and their correlation."""
+    champions = puddle.open_designs("docs/champions.parquet")[np.arange(10) * 55]
+    root, whole = [], []
+    for spacing in (0.25, 0.125):
+        done = puddle.simulate(champions, puddle.Pool(4.0, FluidFlume(spacing=spacing)), n_settle=200, n_measure=600)
+        print(spacing, done.displacement.round(2), done.com_displacement.round(2))
+        root.append(done.displacement)
+        whole.append(done.com_displacement)
+    print("R of the root and of the whole robot", np.corrcoef(root)[0, 1], np.corrcoef(whole)[0, 1])
+
+
+if sys.argv[1:] == ["robots"]:
+    robots()
+else:
+    print("square, 0.25 m ", drag(1.0, 0.25, 24.0, 8.0, 40.0))
+    print("plate, 0.25 m  ", drag(2.0, 0.25, 24.0, 12.0, 25.0))
+    print("square, 0.125 m", drag(1.0, 0.125, 16.0, 6.0, 20.0))
