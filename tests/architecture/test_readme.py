@@ -74,7 +74,7 @@ def test_a_command_parses(page, words):
     elif (
         "preset" in options
         and not (options.get("study") or options.get("settings_file"))  # of a reader's own study or file
-        and not re.search("honey|com_displacement|link_axes", " ".join(overrides))  # of the recipes
+        and not re.search("honey|springs|com_displacement|link_axes|wet_swing", " ".join(overrides))  # of the recipes
     ):
         StudyOptions(preset=options["preset"], overrides=overrides).settings()
 
