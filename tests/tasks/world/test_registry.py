@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from tasks.world import ENVIRONMENTS, DryLand, RandomisedSlushes, Slush, TrueSlush
 from tasks.world.anisotropic_slush import AnisotropicSlush
 from tasks.world.flowing_slush import FlowingSlush
+from tasks.world.fluid import FluidFlume
 from tasks.world.registry import register, settings_groups
 
 
@@ -18,6 +19,7 @@ def test_an_environment_is_built_from_its_settings_group() -> None:
         "anisotropic_slush": AnisotropicSlush,
         "flowing_slush": FlowingSlush,
         "randomised_slush": RandomisedSlushes,
+        "fluid": FluidFlume,
     }
     for group in (Slush(density=2.0), {"density": 2.0}):
         built = ENVIRONMENTS["true_slush"].environment(3.0, group)
