@@ -5,6 +5,7 @@ workers need no shared disk. :func:`serial_cluster` (for debugging and tests) an
 results.
 """
 
+from pipeline.cluster.inference import connect
 from pipeline.cluster.interface import Cluster, Done, Outcome, TaskFailed, Ticket
 from pipeline.cluster.on_ray import Spread, ray_cluster
 from pipeline.cluster.process import prepare_process
@@ -17,6 +18,7 @@ __all__ = [
     "Spread",
     "TaskFailed",
     "Ticket",
+    "connect",
     "prepare_process",
     "ray_cluster",
     "serial_cluster",

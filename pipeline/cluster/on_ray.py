@@ -1,6 +1,6 @@
 """A cluster of Ray workers: this machine's cores, or an existing cluster.
 
-Only this module imports Ray, and late, because it takes a third of a second that ``--help`` should not pay.
+Only this module and inference.py import Ray, and late: it takes a third of a second that ``--help`` should not pay.
 
 Ray's wire format is pickle: whoever can submit to a cluster can run code on it. A local cluster therefore listens on
 the loopback and is protected by a token that only this user can read; an existing one keeps its owner's rules.
@@ -264,7 +264,7 @@ class Spread:
         Raises:
             TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
         """
-        if not _in_ray_worker():
+        if not in_ray_worker():
             return [self._function(item, *self._shared) for item in items]
         remote = _remote_call(1.0, repr(self._function))
         references = [remote.remote(self._function, item, *self._stored) for item in items]
@@ -327,6 +327,7 @@ def _cancel(references: Any) -> None:
             ray.cancel(reference, force=True, recursive=True)
 
 
-def _in_ray_worker() -> bool:
+def in_ray_worker() -> bool:
+    """Return whether this process runs items for a driver elsewhere."""
     ray = sys.modules.get("ray")
     return bool(ray and ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE)

@@ -172,7 +172,7 @@ class AssessSettings(Parameters):
 
 
 class WorkSettings(Parameters):
-    """How the work is divided into work items. It changes no number, but other items are computed anew."""
+    """How the work is divided into work items. Another choice computes them anew; only networks changes a number."""
 
     engine: Literal["batch", "reference"] = "batch"
     """Simulation engine: "reference" is pybox2d; "batch" gives the same bits faster."""
@@ -183,6 +183,10 @@ class WorkSettings(Parameters):
     designs_per_batch: int | None = Field(default=None, ge=1, le=1_000_000)
     """Designs per batch, if each generation is split into batches that different workers simulate. null keeps a trial
     on one worker, which is right unless a generation takes core-seconds or there are more cores than trials."""
+    networks: Literal["local", "gpu"] = "local"
+    """What evaluates networks while robots step on cores: "local" each core itself, or "gpu" one process for each GPU
+    of a machine, for all its cores; where there is none, it computes on a core. The last bits of "gpu" differ, so this
+    alone is part of an item's key. It splits no generation."""
 
 
 @partial(_with_groups, registered=settings_groups())

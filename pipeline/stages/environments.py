@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pipeline.cluster import Spread
+from pipeline.cluster import Spread, connect
 from pipeline.config.settings import RolloutSettings, Settings
 from pipeline.errors import PuddleError
 from pipeline.stages.data_sets import NetworkId
@@ -20,6 +20,7 @@ from tasks.evolution import OBJECTIVES, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.learner import NetworkUse
+from tasks.residual.served_ensemble import TOLERANCE, ServedEnsemble
 from tasks.seeding import generator
 from tasks.simulation import Conditions, Rollouts, simulate
 from tasks.simulation.mujoco import EngineError
@@ -29,7 +30,16 @@ from tasks.world.medium import MediumError, Networks
 MEMBER_SCHEMA, MEMBER_VERSION = "member", 1
 MEMBER, OF_TARGET = "member", "target-member"  # roles of the inputs that are networks, and those of a learned target
 
-Media = Mapping[EnvironmentName, Parameters | NetworkUse | None]
+
+@dataclass(frozen=True)
+class Served:
+    """Networks that the inference service evaluates."""
+
+    use: NetworkUse
+    tolerance: float = TOLERANCE  # greatest error of an output by rounding, relative to the largest output
+
+
+Media = Mapping[EnvironmentName, Parameters | NetworkUse | Served | None]
 """What environments consist of: the settings of a medium, how networks are used, or nothing for dry land."""
 
 
@@ -44,10 +54,12 @@ class SimulationSpec:
 
 def media_of(settings: Settings, *environments: EnvironmentName) -> Media:
     """Select what some environments consist of; random media get the study's seed."""
-    media: dict[EnvironmentName, Parameters | NetworkUse | None] = {}
+    media: dict[EnvironmentName, Parameters | NetworkUse | Served | None] = {}
     for name in environments:
         kind, learner = ENVIRONMENTS.get(name), settings.learner(name)
         media[name] = learner.use if learner else None
+        if learner and learner.is_ensemble and settings.work.networks == "gpu":
+            media[name] = Served(learner.use)
         if kind and kind.settings_group:
             media[name] = kind.for_study(getattr(settings, kind.settings_group), settings.seed)
     return media
@@ -62,7 +74,11 @@ def build_environment(
     media: Media, name: EnvironmentName, depth: float, networks: Mapping[NetworkId, Files]
 ) -> Environment:
     """Return an environment at a depth [m], of its medium or of its networks; see :func:`environment_of`."""
-    return environment_of(media, name, depth, ensemble_of(networks) if isinstance(media[name], str) else None)
+    made_of = media[name]
+    if isinstance(made_of, Served):
+        local = cast(Ensemble, ensemble_of(networks))
+        return ResidualSlush(depth, ServedEnsemble(local.weights, local.biases, local.form, connect))
+    return environment_of(media, name, depth, ensemble_of(networks) if isinstance(made_of, str) else None)
 
 
 def environment_of(
@@ -81,7 +97,7 @@ def environment_of(
     """
     if ensemble is not None and media[name] == "mean":
         return MeanResidual(depth, cast(Networks, ensemble))
-    if ensemble is not None and isinstance(media[name], str):
+    if ensemble is not None and isinstance(media[name], str | Served):
         return ResidualSlush(depth, ensemble)
     if name not in ENVIRONMENTS:
         raise PuddleError(f"{name}: expected the code of the medium, found none")
@@ -118,9 +134,10 @@ def execution_options(settings: Settings, environment: EnvironmentName) -> Execu
     """Return how rollouts in an environment are computed.
 
     Only slow rollouts are split: without networks the batch engine takes milliseconds for a generation, less than it
-    takes to hand out its parts.
+    takes to hand out its parts; and the inference service takes as long for a part as for the whole.
     """
-    slow = environment in settings.learners or settings.work.engine == "reference"
+    slow = environment in settings.learners and settings.work.networks == "local"
+    slow |= settings.work.engine == "reference"
     return Execution(settings.work.engine, settings.work.designs_per_batch if slow else None)
 
 
