@@ -112,7 +112,8 @@ def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Ma
         if not units:
             continue
         measured = costs.get(_kind(stage, chain))
-        unknown = measured is None and chain.one_gpu
+        served = settings.work.networks == "gpu" and getattr(chain.spec, "environment", "") in settings.learners
+        unknown = measured is None and (chain.one_gpu or served)
         sources.add("store" if measured else _UNKNOWN if unknown else "table")
         size = sum(units) * chain.weight
         seconds = size * measured.seconds if measured else 0 if unknown else _expected(stage, settings, chain, units)

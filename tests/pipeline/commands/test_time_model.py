@@ -66,6 +66,7 @@ def test_the_command_prints_a_table(tmp_path, capsys):
 
 
 def test_no_time_is_told_of_a_gpu_that_nothing_was_measured_on():
-    on_a_gpu = load(Settings, preset_path("paper"), ["training.device=cuda"])
-    (train,) = (one for one in forecast_stages(on_a_gpu) if one.stage == "train")
+    on_a_gpu = load(Settings, preset_path("paper"), ["training.device=cuda", "work.networks=gpu"])
+    train, evolve = forecast_stages(on_a_gpu)[1:3]
+    assert evolve.source == "nothing: not measured on a GPU and table"
     assert train.source == "nothing: not measured on a GPU" and train.core_seconds == 0 and train.n_units == 500_000
