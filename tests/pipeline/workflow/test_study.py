@@ -3,10 +3,7 @@
 import contextlib
 import re
 import shutil
-import threading
-import time
 
-import psutil
 import pytest
 from small_study import digests, labelled, run
 from small_study import one_trial as tiny
@@ -70,32 +67,6 @@ def test_a_missing_gpu_is_reported_at_once(kind, request, serial_run):
             pytest.skip("there is a GPU")
         with pytest.raises(PuddleError, match=r"member-00 is to run on a GPU, and there is none.*device=cpu"):
             run(tiny("training.device=cuda"), store, cluster, STAGES[:2])
-
-
-def test_a_study_whose_inference_service_dies_goes_on(local_ray, serial_run, tmp_path):
-    """The item fails and is tried again; only what depends on networks has other keys than without a service."""
-    settings = tiny("work.networks=gpu", "evolution.n_generations=40", "work.generations_per_item=20")
-    store, killed = Store.open(tmp_path / "store", create=True), threading.Event()
-
-    def kill() -> None:
-        while not killed.is_set():
-            for process in psutil.Process().children(recursive=True):
-                with contextlib.suppress(psutil.Error):
-                    if process.name().startswith("ray::Service") and not killed.wait(0.3):
-                        process.kill()
-                        killed.set()
-            time.sleep(0.05)
-
-    killer = threading.Thread(target=kill, daemon=True)
-    killer.start()
-    upstream = run(settings, store, local_ray, STAGES[:4])
-    assert killed.is_set()
-    assert not any(results.failed or results.unfinished for results in upstream.values())
-    local = survey(tiny("evolution.n_generations=40", "work.generations_per_item=20"), STAGES[:3], store).upstream
-    assert {trial.label for trial in local["evolve"].unfinished} == {
-        "residual_slush/1m/trial-0",
-        "single_member/1m/trial-0",
-    }
 
 
 def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run):
