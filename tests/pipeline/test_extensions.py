@@ -58,7 +58,7 @@ def test_results_in_a_medium_with_memory_do_not_depend_on_the_number_of_workers(
     found = []
     for workers in ("0", "2"):
         options = ("--preset", "smoke", "--with", "springs.py", "--workers", workers, "--store", workers, *changes)
-        chunk = ("--set", f"work.throws_per_chunk={5 + int(workers)}")
+        chunk = ("--set", f"work.throws_per_item={5 + int(workers)}")
         done = run("-m", "pipeline", "study", *options, *chunk, "--tracking-uri", "http://127.0.0.1:1")
         assert done.returncode == 0, done.stderr
         read = f"import puddle; print(puddle.open_study('smoke', {workers!r}).champions().to_pylist())"
