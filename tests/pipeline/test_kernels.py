@@ -72,7 +72,7 @@ def test_a_module_of_any_function_that_a_kernel_calls_is_a_source():
 def test_an_edit_of_a_medium_compiles_no_kernel_but_that_of_its_law():
     media = {"tasks.world.randomised_slush", "tasks.world.flowing_slush", "tasks.world.anisotropic_slush"}
     assert not media & kernels.kernel_sources(step.advance).keys()
-    law = fluids._kernel(FlowingSlush.law, Rows((0,) * 9, (0,) * 3, 1)).py_func
+    law = fluids._kernel(FlowingSlush.law, Rows((0,) * 10, (0,) * 3, (0,) * 3, 1), 0).py_func
     assert media & kernels.kernel_sources(law).keys() == {"tasks.world.flowing_slush"}
     assert "tasks.simulation.fluids" in kernels.kernel_sources(law)
 
