@@ -22,6 +22,7 @@ EnvironmentOption = Annotated[
     str | None, typer.Option("--environment", help="The environment, by default the target; a wrong name lists all.")
 ]
 DepthOption = Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")]
+EngineOption = Annotated[str | None, typer.Option("--engine", help="Simulate in another engine, such as mujoco.")]
 Networks = dict[NetworkId, Files]
 
 

@@ -6,7 +6,13 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from pipeline.commands.chosen_environment import DepthOption, EnvironmentOption, checked_environment, required_networks
+from pipeline.commands.chosen_environment import (
+    DepthOption,
+    EngineOption,
+    EnvironmentOption,
+    checked_environment,
+    required_networks,
+)
 from pipeline.commands.options import SettingsOptions, output_suffix, with_options
 from pipeline.commands.terminal import to_stdout
 from pipeline.errors import PuddleError
@@ -18,7 +24,6 @@ from pipeline.store.tables import Columns, csv_of
 from pipeline.workflow.stage import Execution
 from tasks.evolution import OBJECTIVES
 from tasks.residual import arm_kind
-from tasks.simulation.rollout import Engine
 
 _AT_ONCE, _WITH_TRACE = 4096, 64  # designs simulated in one call, to bound the memory
 _UNITS = {
@@ -40,9 +45,7 @@ def score(
     depth: DepthOption,
     options: SettingsOptions,
     environment: EnvironmentOption = None,
-    engine: Annotated[
-        Engine | None, typer.Option("--engine", help="Simulate in another engine than the settings'.")
-    ] = None,
+    engine: EngineOption = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write the scores (.parquet or .csv).")] = None,
 ) -> None:
     """Score a table of designs in one environment.

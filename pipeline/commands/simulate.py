@@ -8,6 +8,7 @@ import typer
 
 from pipeline.commands.chosen_environment import (
     DepthOption,
+    EngineOption,
     EnvironmentOption,
     Networks,
     checked_environment,
@@ -40,6 +41,7 @@ def simulate(
     depth: DepthOption,
     options: SettingsOptions,
     environment: EnvironmentOption = None,
+    engine: EngineOption = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write a film (.gif, .mp4) or a page (.html).")] = None,
 ) -> None:
     """Simulate one design, print its displacement, and show it.
@@ -57,7 +59,8 @@ def simulate(
     elif suffix == _PAGE:
         networks = optional_networks(options, settings)
     ensemble = environments.ensemble_of(networks) if networks else None
-    at, rollouts = _rolled_out(settings, design, name, depth, ensemble, trace=out is not None)
+    execution = Execution(engine or settings.work.engine)
+    at, rollouts = _rolled_out(settings, execution, design, name, depth, ensemble, trace=out is not None)
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is no displacement.")
     label, n_steps = arm_kind(name, settings.arm_learners).label, settings.rollout.n_measure
@@ -67,7 +70,7 @@ def simulate(
     objective = settings.evolution.maximised
     if (at.is_ensemble or not objective.is_papers) and objective.name in OBJECTIVES:
         fitness, simulation = environments.fitness_spec(settings, name), environments.simulation_spec(settings, name)
-        scores = environments.evaluate_designs(design, simulation, Execution(settings.work.engine), at, fitness)
+        scores = environments.evaluate_designs(design, simulation, execution, at, fitness)
         members = ", ".join(f"{value:+.2f}" for value in scores.displacement[0])
         said = f"fitness ({objective.label.lower()}) {scores.fitness[0]:+.3f} {objective.unit}".strip()
         lines.append(f"  members {members} m; {said}" if at.is_ensemble else f"  {said}")
@@ -77,7 +80,7 @@ def simulate(
     is_page = suffix == _PAGE
     seen, replays = [(name, at, rollouts)], []
     if is_page and networks and (other := _other(settings.target, name, networks)):
-        seen.append((other, *_rolled_out(settings, design, other, depth, ensemble, trace=True)))
+        seen.append((other, *_rolled_out(settings, execution, design, other, depth, ensemble, trace=True)))
     for where, there, rolled_out in seen:
         kind, shown = arm_kind(where, settings.arm_learners), ensemble if is_page else None
         simulation = environments.simulation_spec(settings, where)
@@ -90,6 +93,7 @@ def simulate(
 
 def _rolled_out(
     settings: Settings,
+    execution: Execution,
     design: Designs,
     name: EnvironmentName,
     depth: float,
@@ -100,7 +104,7 @@ def _rolled_out(
     """Simulate a design in an environment."""
     simulation = environments.simulation_spec(settings, name)
     at = environments.environment_of(simulation.media, name, depth, ensemble)
-    return at, environments.roll_out(simulation, Execution(settings.work.engine), at, design, trace=trace)
+    return at, environments.roll_out(simulation, execution, at, design, trace=trace)
 
 
 def _other(target: EnvironmentName, name: EnvironmentName, networks: Networks) -> EnvironmentName | None:

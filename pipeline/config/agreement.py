@@ -10,6 +10,7 @@ from tasks.design import CONTROLLERS, OPEN_LOOP
 from tasks.evolution import OBJECTIVES, SEARCHES
 from tasks.residual.forms import form_named
 from tasks.residual.learner import stated
+from tasks.simulation.engine import ENGINES
 from tasks.world import ENVIRONMENTS
 
 if TYPE_CHECKING:
@@ -36,6 +37,12 @@ def check(settings: Settings) -> None:
         raise ValueError(
             f"replicates is {settings.replicates} and grid.n_trials is {settings.grid.n_trials}, so some data sets "
             f"would have no trial: expected at least as many trials as replicates"
+        )
+    target = ENVIRONMENTS.get(settings.target)
+    if settings.transfer.other_engines and target and target.engine:
+        raise ValueError(
+            f"transfer.engines is {', '.join(settings.transfer.engines)}, but target {target.name} is a part of the "
+            f"engine {target.engine}: expected batch, which makes way for it"
         )
     for name, kind in ENVIRONMENTS.items():
         group = kind.settings_group or ""
@@ -90,6 +97,7 @@ def _check_learners(settings: Settings) -> None:
         ("target", (settings.target,), media),
         ("grid.environments", settings.grid.environments, known),
         ("transfer.adapted_environments", settings.transfer.adapted_environments or (), known),
+        ("transfer.engines", settings.transfer.engines, tuple(ENGINES)),
         ("evolution.objective", (settings.evolution.objective,), tuple(OBJECTIVES)),
         ("evolution.search", (settings.evolution.search,), tuple(SEARCHES)),
         ("evolution.controller", (settings.evolution.controller,), tuple(CONTROLLERS)),

@@ -30,6 +30,7 @@ from tasks.residual import LEARNERS, Architecture, Learner, LearnerSettings, Thr
 from tasks.residual.forms import form_here
 from tasks.residual.learner import learner_of
 from tasks.simulation import Conditions
+from tasks.simulation.engine import BOX2D, EngineName
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium, MediumWithMemory, Physics, Slush
 from tasks.world.registry import settings_groups
 from tasks.world.slush import PAPERS_TARGET
@@ -160,6 +161,15 @@ class TransferSettings(Parameters):
     for all."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each adaptation. [P]"""
+
+    engines: tuple[EngineName, ...] = Field(default=("batch",), min_length=1)
+    """Engines in which champions are scored in the target, before and after their adaptation: batch, which is Box2D and
+    always one, and others such as mujoco (docs/extending.md)."""
+
+    @property
+    def other_engines(self) -> tuple[EngineName, ...]:
+        """Those that are not Box2D."""
+        return tuple(name for name in dict.fromkeys(self.engines) if name not in BOX2D)
 
 
 class AssessSettings(Parameters):

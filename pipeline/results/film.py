@@ -8,6 +8,7 @@ from pipeline.report.replay import replay_of, shown_trace
 from pipeline.store import disk
 from tasks.design import Designs
 from tasks.simulation import OK, simulate
+from tasks.simulation.engine import EngineName
 from tasks.world import Environment, Medium, Physics, ResidualSlush, as_environment
 
 
@@ -20,6 +21,7 @@ def film(
     n_settle: int = 200,
     n_measure: int = 1200,
     physics: Physics | None = None,
+    engine: EngineName = "batch",
 ) -> None:
     """Write a film of one design, after it has settled; in an ensemble that of the median member.
 
@@ -34,6 +36,7 @@ def film(
         n_settle: steps before the film begins.
         n_measure: steps of the film, 60 a second.
         physics: constants of the simulator; the paper's by default.
+        engine: such as ``mujoco``, another simulator.
 
     Raises:
         PuddleError: there is not one design, the file has another ending, or the rollout diverged.
@@ -46,7 +49,9 @@ def film(
     if path.suffix not in RENDERERS:
         raise PuddleError(f"{path}: expected a file that ends in {' or '.join(RENDERERS)}, got {path.name}")
     physics = physics or Physics()
-    rollouts = simulate(design, environment, n_settle=n_settle, n_measure=n_measure, trace=True, physics=physics)
+    rollouts = simulate(
+        design, environment, n_settle=n_settle, n_measure=n_measure, engine=engine, trace=True, physics=physics
+    )
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is nothing to show")
     replay = replay_of(

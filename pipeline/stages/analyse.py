@@ -57,7 +57,9 @@ def applies(table: Analysis, settings: Settings) -> bool:
     papers = (settings.has_papers_target and settings.evolution.maximised.is_papers) or table.section != "paper"
     searched = table.search in (None, settings.evolution.search)
     true = table.section != "trust" or settings.learner(settings.target) is None  # else there is none
-    return networks and papers and true and searched and (settings.tank is not None or not table.needs_tank)
+    engines = bool(settings.transfer.other_engines) or not table.needs_engines
+    tank = settings.tank is not None or not table.needs_tank
+    return networks and papers and true and searched and engines and tank
 
 
 def _item(

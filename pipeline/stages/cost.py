@@ -7,6 +7,7 @@ from tasks.simulation.fluids import is_compiled
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
+_OTHER_ENGINE = 1000.0  # approximate cost of a robot's step in MuJoCo, against one in the batch engine
 _CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land
 
 
@@ -14,6 +15,8 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many trials of an environment fill the engine's lanes together, where one leaves some empty."""
     # An ensemble fills the lanes, and single members differ between trials.
     if settings.work.engine != "batch" or environment in settings.learners:
+        return 1
+    if environment in ENVIRONMENTS and ENVIRONMENTS[environment].engine:
         return 1
     size = getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here
     return n_that_fill_lanes(size, settings.physics)
@@ -31,6 +34,8 @@ def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
     if settings.work.engine != "batch" or environment not in ENVIRONMENTS:
         return 0.0  # where the slush is in NumPy, too; or the medium's code is not here
     home = environment_of(media_of(settings, environment), environment, 0.0)
+    if ENVIRONMENTS[environment].engine:
+        return _OTHER_ENGINE
     if home.medium is None or is_compiled(home.medium):
         return 0.0
     n_batched = min(batch_size(settings, environment), settings.grid.n_trials)

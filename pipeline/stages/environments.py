@@ -24,7 +24,16 @@ from tasks.residual.served_ensemble import TOLERANCE, ServedEnsemble
 from tasks.seeding import generator
 from tasks.simulation import Conditions, Rollouts, simulate
 from tasks.simulation.mujoco import EngineError
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, MeanResidual, Physics, ResidualSlush
+from tasks.world import (
+    ENVIRONMENTS,
+    DryLand,
+    EnsembleMedium,
+    Environment,
+    EnvironmentName,
+    MeanResidual,
+    Physics,
+    ResidualSlush,
+)
 from tasks.world.medium import MediumError, Networks
 
 MEMBER_SCHEMA, MEMBER_VERSION = "member", 1
@@ -137,7 +146,7 @@ def execution_options(settings: Settings, environment: EnvironmentName) -> Execu
     takes to hand out its parts; and the inference service takes as long for a part as for the whole.
     """
     slow = environment in settings.learners and settings.work.networks == "local"
-    slow |= settings.work.engine == "reference"
+    slow |= settings.work.engine == "reference" or bool(getattr(ENVIRONMENTS.get(environment), "engine", ""))
     return Execution(settings.work.engine, settings.work.designs_per_batch if slow else None)
 
 
@@ -172,8 +181,14 @@ def roll_out(
 
 
 def check_media(settings: Settings) -> None:
-    """Take a few steps with a robot in every medium of a study; raise PuddleError if one gives no velocity change."""
+    """Take a few steps with a robot in every engine and medium of a study.
+
+    Raises PuddleError if an engine is not here, or a medium gives no velocity change.
+    """
     design = random_designs(1, generator(0, "check"))
+    for engine in settings.transfer.other_engines:
+        alone = SimulationSpec(settings.physics, RolloutSettings(n_settle=0, n_measure=3), {})
+        roll_out(alone, Execution(engine), DryLand(0.0), design)
     for name in (settings.target, *settings.grid.environments):
         if settings.learner(name) is None:
             simulation = replace(simulation_spec(settings, name), rollout=RolloutSettings(n_settle=0, n_measure=3))

@@ -44,6 +44,7 @@ from tasks.evolution import OBJECTIVES, Objective, Population
 from tasks.residual import Learner, MeasuredTransitions, Transitions, arm_kind
 from tasks.seeding import generator
 from tasks.simulation import Conditions, Rollouts, simulate
+from tasks.simulation.engine import EngineName
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics, Slush
 from tasks.world.slush import PAPERS_TARGET
 
@@ -225,7 +226,13 @@ class StudyReader(StudyData):
     def trials(self) -> Sequence[ScoredTrial]:
         return self.scored_trials()
 
-    def scored_trials(self, *, displacement: bool = False) -> list[ScoredTrial]:
+    @cached_property
+    def in_engines(self) -> Mapping[EngineName, Sequence[ScoredTrial]]:
+        names = (name.partition(".") for scores in self.scores.values() for name in scores or ())
+        others = dict.fromkeys(engine for engine, dot, _ in names if dot)
+        return {"Box2D": self.trials, **{engine: self.scored_trials(engine=engine) for engine in others}}
+
+    def scored_trials(self, *, displacement: bool = False, engine: EngineName = "") -> list[ScoredTrial]:
         """Return what the objective scores of every trial's champion, or displacements in any case."""
         listed = []
         for trial in self.spec.trials:
@@ -236,6 +243,8 @@ class StudyReader(StudyData):
                 continue
             suffix = "" if displacement or "predicted_score" not in scores else "_score"
             names = {name: name + suffix for name in ("predicted", "predicted_sd", "zero_shot", "adapted", "passive")}
+            if engine:
+                names |= {name: f"{engine}.{names[name]}" for name in ("zero_shot", "adapted")}
             known = {name: scores.get(source) for name, source in {"fitness": "fitness", **names}.items()}
             finite: dict[str, Any] = {name: nan if value is None else value for name, value in known.items()}
             listed.append(ScoredTrial(*identity, status="ok", **finite))

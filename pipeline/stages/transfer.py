@@ -2,7 +2,7 @@
 
 The champion of every trial is scored where it evolved (predicted: the mean over the members of an ensemble), zero-shot
 in the target at its own depth, and there with its motors off (passive) and with the controller that the stage adapt
-evolved.
+evolved. Scores in other engines have the engine's name before theirs.
 """
 
 from collections.abc import Sequence
@@ -27,6 +27,7 @@ from tasks.analysis.columns import scored_by
 from tasks.analysis.tables.transfer import TOO_WIDE, TransferRow, transfer_rows
 from tasks.design import Designs, motors_off
 from tasks.evolution import OBJECTIVES, disagreement
+from tasks.simulation.engine import EngineName
 from tasks.world import EnvironmentName
 
 _EVOLVED, _ADAPTED = InputName("evolved"), InputName("adapted")  # the last segments of evolution and adaptation
@@ -42,6 +43,13 @@ class ScoreSpec:
     fitness: FitnessSpec  # where it evolved
 
 
+@dataclass(frozen=True)
+class InEnginesSpec(ScoreSpec):
+    """The same, with those in the target in other engines."""
+
+    engines: tuple[EngineName, ...]
+
+
 def _plan(settings: Settings) -> Sequence[Chain[ScoreSpec]]:
     chains = []
     for trial in trials_of(settings, "transfer"):
@@ -49,7 +57,10 @@ def _plan(settings: Settings) -> Sequence[Chain[ScoreSpec]]:
         fitness = environments.fitness_spec(settings, trial.environment)
         places = trial.environment, settings.target
         cost = sum(relative_cost(settings, environment) for environment in places)
-        chains.append(Chain(trial, (1,), ScoreSpec(trial, settings.target, simulation, fitness), weight=cost))
+        spec = ScoreSpec(trial, settings.target, simulation, fitness)
+        if engines := settings.transfer.other_engines:
+            spec = InEnginesSpec(**vars(spec), engines=engines)
+        chains.append(Chain(trial, (1,), spec, weight=cost))
     return chains
 
 
@@ -82,10 +93,13 @@ def _compute(item: Item[ScoreSpec], inputs: Inputs) -> Files:
     )
     is_papers = OBJECTIVES[spec.fitness.objective].is_papers
 
-    def in_target(quantity: str, design: Designs) -> dict[str, float | None]:
-        found = environments.evaluate_designs(design, spec.simulation, item.execution, target, spec.fitness)
-        values = {"": found.displacement, "_com": found.com_displacement, "_score": found.scores}
-        return {f"{quantity}{suffix}": float(value[0, 0]) for suffix, value in values.items()}
+    def in_target(quantity: str, design: Designs, *engines: EngineName) -> dict[str, float | None]:
+        scores: dict[str, float | None] = {}
+        for prefix, execution in {"": item.execution, **{f"{name}.": Execution(name) for name in engines}}.items():
+            found = environments.evaluate_designs(design, spec.simulation, execution, target, spec.fitness)
+            values = {"": found.displacement, "_com": found.com_displacement, "_score": found.scores}
+            scores |= {f"{prefix}{quantity}{suffix}": float(value[0, 0]) for suffix, value in values.items()}
+        return scores
 
     files = {CHAMPION: design_json(champion)}
     scores: dict[str, float | None] = {"fitness": float(evolved.fitness[evolved.champion()])}
@@ -95,10 +109,11 @@ def _compute(item: Item[ScoreSpec], inputs: Inputs) -> Files:
         scores[f"predicted{suffix}"] = float(values.mean())
         sd = float(disagreement(values[None])[0]) if has_sd else None
         scores |= {f"predicted_sd{suffix}": sd} if has_sd or not suffix else {}
-    scores |= in_target("zero_shot", champion) | in_target("passive", motors_off(champion))
+    others = spec.engines if isinstance(spec, InEnginesSpec) else ()
+    scores |= in_target("zero_shot", champion, *others) | in_target("passive", motors_off(champion))
     if _ADAPTED in inputs and (adapted := champion_of(population_of(inputs[_ADAPTED]))) is not None:
         files[ADAPTED] = design_json(adapted)
-        scores |= in_target("adapted", adapted)
+        scores |= in_target("adapted", adapted, *others)
     if is_papers:
         scores = {name: value for name, value in scores.items() if not name.endswith("_score")}
     return {**files, SCORE: encode_scores(scores)}

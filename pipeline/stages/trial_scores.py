@@ -4,7 +4,7 @@
 of its root [m]: ``predicted`` where it evolved, for an ensemble the mean over members; ``predicted_sd``, their
 deviation σ; ``zero_shot`` in the target; ``adapted`` there, with a controller that evolved there. ``zero_shot_com`` and
 ``adapted_com`` are those of its centre of mass. Where the objective is another than the paper's, what it scores is
-beside them, such as ``zero_shot_score``.
+beside them, such as ``zero_shot_score``. Of another engine, too, as ``mujoco.zero_shot``.
 
 A score is None where its rollout diverged, and missing where there was none; σ is None without an ensemble.
 """

@@ -24,7 +24,7 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.track_file import content_of
 from pipeline.workflow.identity import ChainId, InputName, TrialId
-from tasks.simulation.rollout import Engine
+from tasks.simulation.engine import EngineName
 
 ChainSpecT = TypeVar("ChainSpecT")
 ItemSpecT = TypeVar("ItemSpecT")
@@ -73,7 +73,7 @@ class Failure:
 class Execution:
     """Execution options: how an item is computed. They never change its result."""
 
-    engine: Engine = "batch"
+    engine: EngineName = "batch"
     designs_per_batch: int | None = None  # that one worker simulates at a time; None for all on the item's own worker
     n_gpus: int = 0
 

@@ -40,6 +40,7 @@ class Analysis:
     by_depth: bool = True  # whether the page shows the rows depth by depth, if they have depths
     shown: Callable[[Any], bool] = lambda row: True  # rows that the page shows
     metrics: Callable[[Sequence[Any]], Mapping[str, float | None]] = lambda rows: {}  # by which MLflow compares studies
+    needs_engines: bool = False  # whether it is about other engines, in which few studies score
     needs_tank: bool = False  # whether it is about the virtual tank, which few studies have
     search: str | None = None  # the search whose studies it is about, if not all of them
     cost: float = 1.0  # about how many rollouts of a champion it takes

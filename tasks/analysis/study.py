@@ -13,6 +13,7 @@ from tasks.design import Designs
 from tasks.evolution import Population
 from tasks.residual.learner import Learner
 from tasks.simulation import Conditions, Rollouts
+from tasks.simulation.engine import EngineName
 from tasks.world import EnsembleMedium, Environment, EnvironmentName, Physics
 
 
@@ -52,6 +53,10 @@ class StudyData(Protocol):
     @property
     def trials(self) -> Sequence[ScoredTrial]:
         """Every trial, with what is known of it."""
+
+    @property
+    def in_engines(self) -> Mapping[EngineName, Sequence[ScoredTrial]]:
+        """Every trial with what each engine says of it in the target, Box2D first."""
 
     @property
     def champions(self) -> Sequence[Champion]:

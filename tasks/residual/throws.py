@@ -20,9 +20,10 @@ from tasks.arrays import ArrayData, Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.seeding import generator
+from tasks.simulation.engine import links_in
 from tasks.simulation.free_links import FreeLinks, link_constants
 from tasks.world import Environment, LinkStates, Medium, Physics, as_environment
-from tasks.world.medium import MediumInRollout, MediumWithMemory
+from tasks.world.medium import MediumWithMemory
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
@@ -215,17 +216,17 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium | MediumWithMem
         medium: the medium of E; E' has none.
         physics: the base simulator's constants.
     """
-    links = FreeLinks(starts.length_scale, physics)
+    in_target, dry = links_in(medium, starts.length_scale, physics), FreeLinks(starts.length_scale, physics)
     n, struck = len(starts), starts.kick.shape[1] == n_steps
     state, in_slush, on_dry_land = np.empty((3, n, n_steps, len(STATE)), dtype=np.float32)
-    now, around = starts.state, MediumInRollout(medium, np.inf)
+    now = starts.state
     for step in range(n_steps):
         state[:, step] = now
         if struck:
             state[:, step, 3:] += starts.kick[:, step]
             now = state[:, step]
-        on_dry_land[:, step] = links.step(now, None)
-        now = links.step(now, around)
+        on_dry_land[:, step] = dry.step(now, None)
+        now = in_target(now)
         in_slush[:, step] = now
 
     x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))

@@ -5,19 +5,15 @@ from the first step.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from tasks.arrays import ArrayData, Float32, Float64
 from tasks.design.genes import Designs, check
-from tasks.simulation import batch, mujoco, reference
 from tasks.simulation.box2d import Column, Motion
+from tasks.simulation.engine import EngineName, engine_in, engine_named
 from tasks.world import Environment, Medium, Physics, as_environment
-
-Engine = Literal["batch", "reference", "mujoco"]
-ENGINES = {"batch": batch.roll_out, "reference": reference.roll_out, "mujoco": mujoco.roll_out}
 
 OK, DIVERGED = "ok", "diverged"
 
@@ -55,7 +51,7 @@ def simulate(
     depth: float | None = None,
     n_settle: int = 200,
     n_measure: int = 1200,
-    engine: Engine = "batch",
+    engine: EngineName = "batch",
     trace: bool = False,
     motor_work: bool = False,
     physics: Physics | None = None,
@@ -74,8 +70,8 @@ def simulate(
         depth: another depth of such a medium [m].
         n_settle: steps before the displacement is measured.
         n_measure: steps over which it is measured.
-        raise ValueError(f"engine is {engine!r}, expected any of {', '.join(ENGINES)}")
-    motion = ENGINES["reference" if physics.continuous_collision and engine == "batch" else engine](
+        engine: ``batch`` or ``reference``, which are Box2D and make way for the engine of a medium that has one of its
+            own; ``mujoco``, for any medium.
         trace: whether to record the state after every step.
         motor_work: whether to add up the mechanical work of the motors.
         physics: constants of the simulator; the paper's by default.
@@ -96,9 +92,8 @@ def simulate(
     for name, value, least in (("n_settle", n_settle, 0), ("n_measure", n_measure, 1)):
         if not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name} is {value!r}, expected at least {least}, a whole number")
-    if engine not in ENGINES:
-        raise ValueError(f"engine is {engine!r}, expected any of {', '.join(ENGINES)}")
-    motion = ENGINES["reference" if physics.continuous_collision and engine == "batch" else engine](
+    name = engine_in(environment.medium, engine)
+    motion = engine_named("reference" if physics.continuous_collision and name == "batch" else name).roll_out(
         designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work
     )
     second_half_seconds = (n_measure - n_measure // 2) * physics.time_step

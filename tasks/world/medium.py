@@ -188,6 +188,16 @@ class Fluid(Parameters):
         return VelocityChange(*self.law([of[:, None, None] if of.ndim else of for of in factors], links))
 
 
+class NativeFluid(Parameters):
+    """A fluid that an engine has in its own solver, so that no other engine simulates it; its fields are settings."""
+
+    engine: ClassVar[str]  # name of the engine
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002
+        """Refuse: what it changes in a step is not a function of links one by one."""
+        raise TypeError(f"{type(self).__name__} acts in the engine {self.engine} alone: expected that engine")
+
+
 class EnsembleMedium(Medium, Protocol):
     """A medium with several members; entry k of the links' first axis is in member k."""
 

@@ -46,6 +46,11 @@ class EnvironmentKind(ArmKind):
         """Whether it has a medium that networks can learn and champions can be transferred to."""
         return not self.is_ensemble and self.build.medium is not Environment.medium
 
+    @property
+    def engine(self) -> str:
+        """Name of the engine that its fluid is a part of, "" if any engine simulates it."""
+        return getattr(self.settings, "engine", "")
+
     def environment(self, depth: float, settings: Any = None) -> Environment:
         """Return the environment at a depth of the ground below the surface [m].
 

@@ -17,6 +17,7 @@ from tasks.analysis.study import StudyData
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.simulation import Conditions
+from tasks.simulation.engine import BOX2D, engine_in
 from tasks.world import EnvironmentName
 
 N_STARTS = 16
@@ -62,7 +63,9 @@ def robustness(study: StudyData) -> list[RobustnessRow]:
     for depth in dict.fromkeys(depth for _, depth in listed):
         champions = [champion for champion in study.champions if champion.depth == depth]
         if champions:
-            scores = _scores(study, champions, depth, continuous=depth == min(depth for _, depth in listed))
+            is_box2d = engine_in(study.at_target(depth).medium) in BOX2D
+            shallowest = min(depth for _, depth in listed)
+            scores = _scores(study, champions, depth, continuous=is_box2d and depth == shallowest)
             rows += [_row(study, arm, champions, scores) for arm in listed if arm[1] == depth]
     return rows
 

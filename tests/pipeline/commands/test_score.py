@@ -60,6 +60,7 @@ def test_scores_in_the_target_need_no_store(recorded, designs, tmp_path):
         (["--environment", "dry_land", "--depth", "1", "--out", "/nosuch/x.csv"], "ends in .parquet or .csv"),
         (["--environment", "dry_land", "--depth", "1", "--out", "scores.txt"], "ends in .parquet or .csv"),
         (["--environment", "residual_slush", "--depth", "1", "--store", "/nosuch"], "/nosuch"),
+        (["--depth", "1", "--engine", "bullet"], "engine is 'bullet', expected any of batch, reference, mujoco"),
     ],
 )
 def test_bad_arguments(designs, capsys, arguments, said):

@@ -103,6 +103,11 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
             "flowing_slush is given, but neither target nor grid.environments has flowing_slush",
         ),
         (["grid.environments=[fifty]"], "grid.environments: expected any of true_slush"),
+        (
+            ["transfer.engines=[batch,bullet]"],
+            "transfer.engines: expected any of batch, reference, mujoco, got 'bullet'",
+        ),
+        (["transfer.engines=[batch,mujoco]", "target=mujoco_fluid"], "is a part of the engine mujoco: expected batch"),
         (["transfer.adapted_environments=[mud]"], "transfer.adapted_environments: expected any of true_slush"),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from tasks.design import random_designs
 from tasks.simulation import simulate
-from tasks.simulation.rollout import Engine
+from tasks.simulation.engine import EngineName
 from tasks.world import RandomisedSlush, RandomisedSlushes, Slush, TrueSlush
 
 PARAMETERS = ("density", "linear_drag", "angular_drag")
@@ -44,7 +44,7 @@ def test_parameters_fill_their_ranges() -> None:
 
 
 @pytest.mark.parametrize("engine", ["batch", "reference"])
-def test_every_member_s_rollouts_are_those_of_its_slush(engine: Engine) -> None:
+def test_every_member_s_rollouts_are_those_of_its_slush(engine: EngineName) -> None:
     designs = random_designs(5, np.random.default_rng(1))
     environment = RandomisedSlush(1.0, RandomisedSlushes(n_members=3, seed=1))
     assert environment.is_ensemble and environment.n_members == 3

@@ -10,6 +10,7 @@ from tasks.world import ENVIRONMENTS, DryLand, RandomisedSlushes, Slush, TrueSlu
 from tasks.world.anisotropic_slush import AnisotropicSlush
 from tasks.world.flowing_slush import FlowingSlush
 from tasks.world.fluid import FluidFlume
+from tasks.world.mujoco_fluid import MujocoFluid
 from tasks.world.registry import register, settings_groups
 
 
@@ -20,6 +21,7 @@ def test_an_environment_is_built_from_its_settings_group() -> None:
         "flowing_slush": FlowingSlush,
         "randomised_slush": RandomisedSlushes,
         "fluid": FluidFlume,
+        "mujoco_fluid": MujocoFluid,
     }
     for group in (Slush(density=2.0), {"density": 2.0}):
         built = ENVIRONMENTS["true_slush"].environment(3.0, group)
