@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from tasks.world import ENVIRONMENTS, DryLand, RandomisedSlushes, Slush, TrueSlush
 from tasks.world.anisotropic_slush import AnisotropicSlush
+from tasks.world.falling_plate import FallingPlate
 from tasks.world.flowing_slush import FlowingSlush
 from tasks.world.fluid import FluidFlume
 from tasks.world.mujoco_fluid import MujocoFluid
@@ -18,6 +19,7 @@ def test_an_environment_is_built_from_its_settings_group() -> None:
     assert settings_groups() == {
         "slush": Slush,
         "anisotropic_slush": AnisotropicSlush,
+        "falling_plate": FallingPlate,
         "flowing_slush": FlowingSlush,
         "randomised_slush": RandomisedSlushes,
         "fluid": FluidFlume,
