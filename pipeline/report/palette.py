@@ -27,6 +27,9 @@ LOOKS: Mapping[str, Look] = {
     "randomised_slush": Look("P", "#b5304f", "#eeb4c0"),
     "anisotropic_slush": Look("p", "#2f7f4f", "#b3d9c1"),
     "flowing_slush": Look("h", "#8a5a2b", "#dcc5ad"),
+    "fluid": Look("8", "#2b4fb0", "#b4c3ea"),
+    "falling_plate": Look("<", "#6a3d1f", "#d8c0ae"),
+    "mujoco_fluid": Look(">", "#51618a", "#c4cbdd"),
 }
 """Arms that look the same in all studies."""
 

@@ -52,16 +52,14 @@ def test_workers_throw_links_into_a_medium_of_a_file(run, tmp_path):
 
 
 def test_results_in_a_medium_with_memory_do_not_depend_on_the_number_of_workers(run, tmp_path):
-    """Nor on how throws are split; champions of dry land are transferred to it."""
-    small = ("evolution.n_generations=2", "transfer.n_generations=1", "grid.depths=[1]", "target=springs")
-    changes = [part for one in (*small, "grid.environments=[springs,dry_land]") for part in ("--set", one)]
+    small = ("evolution.n_generations=2", "rollout.n_measure=100", "grid.depths=[1]", "target=springs")
+    changes = [part for one in (*small, "grid.environments=[springs]") for part in ("--set", one)]
     found = []
     for workers in ("0", "2"):
         options = ("--preset", "smoke", "--with", "springs.py", "--workers", workers, "--store", workers, *changes)
-        chunk = ("--set", f"work.throws_per_item={5 + int(workers)}")
-        done = run("-m", "pipeline", "study", *options, *chunk, "--tracking-uri", "http://127.0.0.1:1")
+        done = run("-m", "pipeline", "evolve", *options, "--tracking-uri", "http://127.0.0.1:1")
         assert done.returncode == 0, done.stderr
-        read = f"import puddle; print(puddle.open_study('smoke', {workers!r}).champions().to_pylist())"
+        read = f"import puddle; print(puddle.open_study('smoke', {workers!r}).table('histories').to_pylist())"
         found.append(run("-c", read).stdout)
     assert found[0] == found[1] and "springs" in found[0]
 

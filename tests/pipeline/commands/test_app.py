@@ -135,7 +135,7 @@ def test_settings_mistakes_name_file_and_field(line, expected, capsys, tmp_path)
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("study", "--preset", "desktop"), "desk, laptop, paper, pontoon, row, row-small, smoke, tank"),
+        (("study", "--preset", "desktop"), "desk, fluid, laptop, paper, pontoon, row, row-small, smoke, tank"),
         (("evolv",), "No such command"),
         (("study", "--set", "grid.depth=[1]"), "--set grid.depth=[1]: grid.depth: unknown setting; did you mean"),
         (("simulate", "design.json", *in_environment("mud")), "expected one of"),
