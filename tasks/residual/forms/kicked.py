@@ -18,7 +18,8 @@ def _read_plain(links: Any) -> tuple[Any, ...]:
 
 
 @formula
-def _read_wetted(links: Any) -> tuple[Any, ...]:
+def read_wetted(links: Any) -> tuple[Any, ...]:
+    """Return the inputs of wetted networks, and the kick along a link, across it and of ω."""
     cos, sin, x, y = links.cos, links.sin, links.kick_vx, links.kick_vy
     return (*wetted.read(links), cos * y - sin * x, cos * x + sin * y, links.kick_omega)
 
@@ -33,13 +34,13 @@ register_form(
     )
 )
 (half_turn,) = wetted.WETTED.symmetries
-register_form(
+WETTED = register_form(
     replace(
         wetted.WETTED,
         name="wetted_kicked",
         about=f"{wetted.WETTED.about} They also see what joints and motors changed of its velocity in the last step.",
         inputs=(*wetted.WETTED.inputs, "kick_along", "kick_across", "kick_omega"),
-        read=_read_wetted,
+        read=read_wetted,
         reads_kicks=True,
         symmetries=((*half_turn, "kick_along", "kick_across"),),
         mirror=(*wetted.WETTED.mirror, "kick_across", "kick_omega"),

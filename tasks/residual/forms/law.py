@@ -19,7 +19,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Float64
 from tasks.compiled import formula, with_law
-from tasks.residual.forms import wetted
+from tasks.residual.forms import kicked, wetted
 from tasks.residual.forms.form import FAMILIES, Form
 from tasks.simd.lanes import from_row
 from tasks.simulation.fluids import Links
@@ -28,10 +28,12 @@ from tasks.world.medium import Fluid
 from tasks.world.slush import PAPERS_TARGET
 
 _MOST_EVALUATIONS = 200
+_CLEARLY = 0.99  # share of a minimum that another one is below
 _LEAST = 1e-6  # of a constant that is fitted by its logarithm
 _DIGITS = 6  # significant digits of a constant, so that it is the same wherever linear algebra rounds differently
-_N_OUTPUTS, _N_INPUTS = len(wetted.WETTED.outputs), len(wetted.WETTED.inputs)
+_N_OUTPUTS, _N_INPUTS, _N_KICKED = len(wetted.WETTED.outputs), len(wetted.WETTED.inputs), len(kicked.WETTED.inputs)
 _STATE = ("length_scale", "mass", "inertia", "y", "cos", "sin", "vx", "vy", "omega")
+_KICKS = ("kick_vx", "kick_vy", "kick_omega")
 
 LAW: Callable[..., tuple[Any, Any, Any]] = Fluid.law  # of a form, which has its own
 
@@ -67,11 +69,38 @@ def _act_with_network(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
     return by_law[0] + x, by_law[1] + y, by_law[2] + angle
 
 
+# The same of laws that read kicks.
+
+
+@formula
+def _read_kicked(links: Any) -> tuple[Any, ...]:
+    return (*_read(links), links.kick_vx, links.kick_vy, links.kick_omega)
+
+
+@formula
+def _read_wetted_kicked(links: Any) -> tuple[Any, ...]:
+    return (*kicked.read_wetted(links), *_read_kicked(links))
+
+
+@formula
+def _kicked_links(s: Any) -> Links:
+    return Links(s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], None, s[9], s[10], s[11])
+
+
+def _act_kicked(factors: Any, s: Any) -> Any:
+    return LAW(factors, _kicked_links(s))
+
+
+def _act_kicked_with_network(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
+    x, y, angle = wetted.act(outputs, read)
+    factors, s = from_row(outputs, _N_OUTPUTS), from_row(read, _N_KICKED)
+    by_law = LAW(factors, _kicked_links(s))
+    return by_law[0] + x, by_law[1] + y, by_law[2] + angle
+
+
 def constants_of(fluid: Any) -> dict[str, tuple[float, float]]:
     """Return the bounds of a class of media's constants by name; there are none where its law is not all there is."""
     if getattr(fluid, "velocity_change", None) is not Fluid.velocity_change:  # or it changes velocities in another way
-        return {}
-    if fluid.reads_kicks:  # which are 0 in throws
         return {}
     numbers = {name: of for name, of in fluid.model_json_schema()["properties"].items() if of.get("type") == "number"}
     return {
@@ -88,10 +117,11 @@ def _fit(
 
     bounds = constants_of(fluid)
     low, high = np.transpose([*bounds.values()])
-    positive = low >= 0  # whose logarithms are fitted, from that of 1 on; the others from 0
+    positive = low >= 0  # whose logarithms are fitted, from those of 1 and 2 on; the others from 0 and ln 2
     low, high = (np.where(positive, np.log(np.clip(limit, _LEAST, None)), limit) for limit in (low, high))
     drawn = weights.any(axis=1)
-    precise, change = LinkStates(*(getattr(links, field)[drawn].astype(np.float64) for field in _STATE)), change[drawn]
+    states = {field: getattr(links, field)[drawn].astype(np.float64) for field in (*_STATE, *_KICKS)}
+    precise, change = LinkStates(**states), change[drawn]
     scale = np.sqrt(weights[drawn]) / np.maximum(change.std(axis=0), np.finfo(np.float32).tiny)
 
     def of(constants: Float64) -> Fluid:
@@ -102,7 +132,12 @@ def _fit(
         missed: Float64 = (np.stack((by_law.vx, by_law.vy, by_law.omega), axis=-1) - change) * scale
         return missed.ravel()
 
-    fitted = least_squares(off, np.clip(0.0, low, high), bounds=(low, high), max_nfev=_MOST_EVALUATIONS)
+    fitted, other = (
+        least_squares(off, np.clip(start, low, high), bounds=(low, high), max_nfev=_MOST_EVALUATIONS)
+        for start in (0.0, np.log(2.0))
+    )
+    if other.cost < _CLEARLY * fitted.cost:
+        fitted = other
     if idle := [name for name, slope in zip(bounds, fitted.jac.T, strict=True) if not slope.any()]:
         raise UnfittedLaw(f"{', '.join(idle)}: expected throws that the constant makes a difference to, got none")
     if not fitted.success:
@@ -113,8 +148,8 @@ def _fit(
 
 
 @functools.cache
-def _form(base: Form, act: Callable[..., Any], medium: str) -> Form:
-    """Complete a form with the law of a medium.
+def _form(bases: tuple[Form, Form], acts: tuple[Callable[..., Any], Callable[..., Any]], medium: str) -> Form:
+    """Complete a form with the law of a medium: the second of two if it reads kicks.
 
     Raises:
         ValueError: there is no such medium, or it has no constants.
@@ -127,6 +162,7 @@ def _form(base: Form, act: Callable[..., Any], medium: str) -> Form:
         raise ValueError(f"network.form: {said}")
     fluid: Any = known[medium]
     some = fluid.model_construct(**dict.fromkeys(constants_of(fluid), 1.0))
+    base, act = bases[fluid.reads_kicks], acts[fluid.reads_kicks]
     half, whole = (np.array(some.factors(Physics(time_step=dt))) for dt in (0.01, 0.02))
     return replace(
         base,
@@ -159,5 +195,15 @@ _WITH_NETWORK = replace(
     read=_read_wetted,
     unseen=_STATE,
 )
-FAMILIES[_ALONE.name] = functools.partial(_form, _ALONE, _act)
-FAMILIES[_WITH_NETWORK.name] = functools.partial(_form, _WITH_NETWORK, _act_with_network)
+_ALONE_KICKED = replace(_ALONE, read=_read_kicked, reads_kicks=True, unseen=(*_STATE, *_KICKS))
+_WITH_KICKED = replace(
+    kicked.WETTED,
+    name=_WITH_NETWORK.name,
+    about=_WITH_NETWORK.about,
+    read=_read_wetted_kicked,
+    unseen=(*_STATE, *_KICKS),
+)
+FAMILIES[_ALONE.name] = functools.partial(_form, (_ALONE, _ALONE_KICKED), (_act, _act_kicked))
+FAMILIES[_WITH_NETWORK.name] = functools.partial(
+    _form, (_WITH_NETWORK, _WITH_KICKED), (_act_with_network, _act_kicked_with_network)
+)

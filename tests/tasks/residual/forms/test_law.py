@@ -11,15 +11,16 @@ from tasks.residual.ensemble import Ensemble
 from tasks.residual.forms.law import UnfittedLaw, constants_of
 from tasks.residual.training import train_member
 from tasks.simulation import simulate
-from tasks.world import ENVIRONMENTS, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import ENVIRONMENTS, Physics, Pool, ResidualSlush, Slush
 from tasks.world.anisotropic_slush import AnisotropicSlush
+from tasks.world.falling_plate import FallingPlate
 
 TRAINING = Training(n_iterations=600, batch_size=256, learning_rate=0.02, loss="mse", held_out=0.25)
 
 
 def throws(medium, n_throws=4, physics=None):
     physics = physics or Physics()
-    settings = Throws(design="robots", n_throws=n_throws, n_steps=100)
+    settings = Throws(design="struck" if medium.reads_kicks else "robots", n_throws=n_throws, n_steps=100)
     return simulate_throws(initial_states(settings, np.random.default_rng(3), physics), 100, medium, physics)
 
 
@@ -32,7 +33,7 @@ def error(member):
     return np.mean([row.relative_error for row in member.validation if row.band == "all"])
 
 
-@pytest.mark.parametrize("name", ["true_slush", "anisotropic_slush", "flowing_slush"])
+@pytest.mark.parametrize("name", ["true_slush", "anisotropic_slush", "flowing_slush", "falling_plate"])
 @pytest.mark.parametrize("physics", [Physics(), Physics(link_density=0.7, time_step=1 / 90, gravity=5.0)])
 def test_a_few_throws_determine_the_constants_of_the_law_that_is_true(name, physics):
     """Float32 residuals are right to 1e-7 of a velocity of 5 m/s, and a change in a step is 1e-2 m/s and more."""
@@ -44,10 +45,13 @@ def test_a_few_throws_determine_the_constants_of_the_law_that_is_true(name, phys
     assert error(member) < 1e-4
 
 
-def test_robots_move_in_a_law_that_is_true_as_in_its_fluid():
-    members = [trained(throws(Slush()), "law", member).arrays() for member in range(2)]
+@pytest.mark.parametrize(
+    ("name", "fluid"), [("true_slush", Slush()), ("falling_plate", FallingPlate(rotational_lift=3))]
+)
+def test_robots_move_in_a_law_that_is_true_as_in_its_fluid(name, fluid):
+    members = [trained(throws(fluid), f"law:{name}", member).arrays() for member in range(2)]
     designs = random_designs(16, np.random.default_rng(4))
-    fitted, true = ResidualSlush(2.0, Ensemble.from_members(members)), TrueSlush(2.0)
+    fitted, true = ResidualSlush(2.0, Ensemble.from_members(members)), Pool(2.0, fluid)
     for engine in ("batch", "reference"):
         moved, expected = (simulate(designs, at, n_measure=200, engine=engine).displacement for at in (fitted, true))
         assert (moved == expected).all() and moved.shape == (2, 16)
