@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.random import Generator
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from tasks.arrays import Float32, Float64
 from tasks.residual.descent import Weights, step_factors
@@ -18,7 +19,7 @@ from tasks.residual.forms import Targets
 from tasks.residual.hyperparameters import Training
 
 _N_EAGER = 3  # iterations before one is recorded as a CUDA graph: libraries set themselves up in the first
-_LARGEST = 256.0  # scaled gradient at the outputs: within float16, with room for those of hidden units
+_SCALED = 256.0  # sum of the scaled gradients at a network's outputs, 256 times less than the largest float16
 
 
 class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
@@ -54,38 +55,25 @@ class TorchDescent:
             os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # so that a second run gives the same
         self._half = torch.float16 if training.products == "half" else torch.float32
         self._keep = 1 / (1 - dropout)
-        tables = [np.concatenate((inputs, *targets), axis=1) for inputs, targets in examples]
+        tables = [torch.from_numpy(np.concatenate((inputs, *targets), axis=1)) for inputs, targets in examples]
         self._widths = [columns.shape[1] for columns in (examples[0][0], *examples[0][1])]
         self._n_rows = [len(table) for table in tables]
-        rows = np.zeros((len(tables), max(self._n_rows), sum(self._widths)), np.float32)
-        for member, table in enumerate(tables):
-            rows[member, : len(table)] = table
-        self._rows = torch.from_numpy(rows).to(self._device)
+        self._rows = pad_sequence(tables, batch_first=True).to(self._device)
         self._counted = training.batch_size > max(self._n_rows)
 
-        stacked = {name: np.stack([network[name] for network in weights]) for name in weights[0]}
-        numbers = np.concatenate([array.reshape(-1) for array in stacked.values()])
-        self._numbers = torch.from_numpy(numbers).to(self._device)
-        self._gradient, self._mean, self._mean_square = (torch.zeros_like(self._numbers) for _ in range(3))
-        self._parameters, self._gradients = (
-            {
-                name: part.view(array.shape)
-                for part, (name, array) in zip(
-                    torch.split(flat, [array.size for array in stacked.values()]), stacked.items(), strict=True
-                )
-            }
-            for flat in (self._numbers, self._gradient)
-        )
-        self._n_layers = len(stacked) // 2
+        self._shapes = {name: array.shape for name, array in weights[0].items()}
+        flat = [np.concatenate([network[name].reshape(-1) for name in self._shapes]) for network in weights]
+        self._numbers = torch.from_numpy(np.stack(flat)).to(self._device).requires_grad_()  # of weights and biases
+        self._mean, self._mean_square = torch.zeros_like(self._numbers), torch.zeros_like(self._numbers)
+        self._n_layers = len(self._shapes) // 2
 
         self._random = [torch.Generator(self._device).manual_seed(int(rng.integers(2**63))) for rng in rngs]
-        width = stacked["bias_0"].shape[1]
-        most = rows.shape[1] if self._counted else training.batch_size
-        n_units = [width * (n if self._counted else most) for n in self._n_rows]
+        (width,) = self._shapes["bias_0"]
+        most = max(self._n_rows) if self._counted else training.batch_size
+        self._n_units = [width * (n if self._counted else most) for n in self._n_rows]
         # Drawn with replacement, as many as leave a unit with probability 1 - p. A network with fewer rows drops fewer
         # units; the others of its list are units of a row of padding.
-        self._n_dropped = [round(-n * math.log1p(-dropout)) for n in n_units]
-        self._n_units = n_units
+        self._n_dropped = [round(-n * math.log1p(-dropout)) for n in self._n_units]
         shape = len(tables), self._n_layers - 1, max(self._n_dropped)
         self._dropped = torch.full(shape, width * most - 1, device=self._device)
         self._drawn = torch.zeros(len(tables), training.batch_size, dtype=torch.int64, device=self._device)
@@ -117,8 +105,7 @@ class TorchDescent:
         for member, random in enumerate(self._random):
             self._drawn[member].random_(self._n_rows[member], generator=random)
             dropped = self._dropped[member, :, : self._n_dropped[member]]
-            if dropped.numel():
-                dropped.random_(self._n_units[member], generator=random)
+            dropped.random_(self._n_units[member], generator=random)
 
     def _iterate(self) -> None:
         """Take one iteration; on a CUDA device by one call, after the first few."""
@@ -134,102 +121,88 @@ class TorchDescent:
 
     def _minibatch(self) -> tuple[Tensor, Tensor]:
         """Return (n_networks, n_rows, n_columns) rows, and the share that each has in its minibatch."""
-        n_networks, n_drawn = self._drawn.shape
+        each = torch.full_like(self._drawn, 1 / self._drawn.shape[1], dtype=torch.float32)
         if self._counted:
-            counts = torch.zeros(self._rows.shape[:2], dtype=torch.int32, device=self._device)
-            one = torch.ones((), dtype=torch.int32, device=self._device)
-            counts.scatter_add_(1, self._drawn, one.expand_as(self._drawn))
-            return self._rows, counts / n_drawn
-        first = self._rows.shape[1] * torch.arange(n_networks, device=self._device)
-        rows = self._rows.flatten(0, 1).index_select(0, (self._drawn + first[:, None]).flatten())
-        return rows.view(n_networks, n_drawn, -1), torch.full_like(self._drawn, 1 / n_drawn, dtype=torch.float32)
+            none = torch.zeros(self._rows.shape[:2], device=self._device)
+            return self._rows, none.scatter_add_(1, self._drawn, each)
+        networks = torch.arange(len(self._rows), device=self._device)[:, None]
+        return self._rows[networks, self._drawn], each
 
-    @torch.no_grad()
     def step(self, rows: Tensor, shares: Tensor) -> None:
         """Take one iteration of AdamW on (n_networks, n_rows, n_columns) rows with (n_networks, n_rows) shares."""
-        columns: Any = torch.split(rows, self._widths, dim=2)
-        values = self._forward(columns[0])
-        with torch.enable_grad():
-            outputs = values.pop().requires_grad_()
-            losses = (shares * row_losses(self._training, outputs, Targets(*columns[1:]))).sum(dim=1)
-            (gradient,) = torch.autograd.grad(losses.sum(), outputs)
-        self._losses.copy_(losses.detach())
-        self._backward(values, gradient)
+        losses, gradient = self.gradient(rows, shares)
+        self._losses.copy_(losses)
         decay, rate, root = self._factors
-        self._mean.lerp_(self._gradient, 1 - BETA_1)
-        self._mean_square.mul_(BETA_2).addcmul_(self._gradient, self._gradient, value=1 - BETA_2)
-        self._numbers.mul_(decay).sub_(rate * self._mean / (self._mean_square.sqrt() * root + EPSILON))
+        with torch.no_grad():
+            self._mean.lerp_(gradient, 1 - BETA_1)
+            self._mean_square.mul_(BETA_2).addcmul_(gradient, gradient, value=1 - BETA_2)
+            self._numbers.mul_(decay).sub_(rate * self._mean / (self._mean_square.sqrt() * root + EPSILON))
 
-    def _weight(self, layer: int) -> Tensor:
-        """Return a layer's weights, with the factor of the units before it that were not dropped."""
-        weight = self._parameters[f"weight_{layer}"]
-        return weight * self._keep if layer else weight
+    def gradient(self, rows: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the loss of each network, and the gradient of its weights and biases.
 
-    def _forward(self, inputs: Tensor) -> list[Tensor]:
-        """Return the values of each layer, from the inputs to the outputs; inputs and outputs are in float32."""
-        values = [inputs]
-        for i in range(self._n_layers - 1):
-            precision = self._half if i else torch.float32
-            weight, bias = self._weight(i).to(precision), self._parameters[f"bias_{i}"].to(precision)
-            hidden = torch.baddbmm(bias[:, None], values[-1], weight).relu_().to(self._half)
-            values.append(hidden)
-            hidden.flatten(1).scatter_(1, self._dropped[:, i], 0.0)
-        last = self._n_layers - 1
-        outputs = _product(values[-1], self._weight(last).to(self._half))
-        return [*values, outputs + self._parameters[f"bias_{last}"][:, None]]
-
-    def _backward(self, values: list[Tensor], gradient: Tensor) -> None:
-        """Compute the gradients of the parameters, from (n_networks, n_rows, n_outputs) gradients at the outputs.
-
-        They are scaled by a power of two meanwhile: float16 would lose small ones, and float32 keeps every bit.
+        Where units are in float16, gradients are scaled by a power of two, because many are smaller than its least.
         """
-        largest = gradient.abs().amax(dim=(1, 2), keepdim=True).clamp(min=1e-30)
-        scale = torch.exp2(torch.floor(torch.log2(_LARGEST / largest)))
-        gradient = (gradient * scale).to(self._half)
-        for i in reversed(range(self._n_layers)):
-            factor = (self._keep if i else 1.0) / scale
-            self._gradients[f"weight_{i}"].copy_(_product(values[i].transpose(1, 2), gradient) * factor)
-            self._gradients[f"bias_{i}"].copy_(gradient.sum(dim=1, dtype=torch.float32) / scale[:, 0])
-            if i:
-                gradient = torch.bmm(gradient, self._weight(i).to(self._half).transpose(1, 2)).mul_(values[i] > 0)
+        columns: Any = torch.split(rows, self._widths, dim=2)
+        outputs = self._outputs(columns[0])
+        losses = (shares * row_losses(self._training, outputs, Targets(*columns[1:]))).sum(dim=1)
+        (of_outputs,) = torch.autograd.grad(losses.sum(), outputs)
+        size = of_outputs.abs().sum(dim=(1, 2), keepdim=True).clamp(min=1e-30)
+        scale = torch.exp2(torch.floor(torch.log2(_SCALED / size)))
+        (gradient,) = torch.autograd.grad(outputs, self._numbers, of_outputs * scale)
+        return losses.detach(), gradient / scale[:, 0]
+
+    def _outputs(self, inputs: Tensor) -> Tensor:
+        """Return outputs. Only products between hidden layers may be in half precision."""
+        layers, units, last = self.arrays(self._numbers), inputs, self._n_layers - 1
+        for i in range(self._n_layers):
+            precision = self._half if 0 < i < last else torch.float32
+            weight, bias = layers[f"weight_{i}"], layers[f"bias_{i}"].to(precision)
+            kept = (weight * self._keep if i else weight).to(precision)
+            units = torch.baddbmm(bias[:, None], units.to(precision), kept)
+            if i < last:
+                units = units.to(self._half)
+                units.detach().flatten(1).scatter_(1, self._dropped[:, i], 0.0)  # ReLU passes them no gradient
+                units = units.relu_()
+        return units
+
+    def arrays(self, numbers: Tensor) -> dict[str, Tensor]:
+        """Divide (n_networks, n_numbers) numbers into weight_i and bias_i of each layer i."""
+        parts = torch.split(numbers, [math.prod(shape) for shape in self._shapes.values()], dim=1)
+        named = zip(self._shapes.items(), parts, strict=True)
+        return {name: part.view(-1, *shape) for (name, shape), part in named}
 
     def weights(self) -> list[dict[str, Float32]]:
         """Return copies of weight_i and bias_i of each layer i, of each network."""
-        arrays = {name: array.cpu().numpy() for name, array in self._parameters.items()}
-        return [{name: array[k].copy() for name, array in arrays.items()} for k in range(len(self._n_rows))]
+        arrays = self.arrays(self._numbers.detach().cpu())
+        return [{name: array[k].numpy().copy() for name, array in arrays.items()} for k in range(len(self._n_rows))]
 
-    @torch.inference_mode()
+    @torch.no_grad()
     def predict(self, inputs: Sequence[Float32]) -> list[Float32]:
         """Map each network's (n_rows, n_inputs) inputs to (n_rows, n_outputs) outputs, in float32, without dropout."""
-        predicted = []
+        predicted, layers = [], self.arrays(self._numbers)
         with one_thread(), _products("float32"):
             for member, own in enumerate(inputs):
-                rows = torch.from_numpy(own).to(self._device)
+                units = torch.from_numpy(own).to(self._device)
                 for i in range(self._n_layers):
-                    weight, bias = (self._parameters[f"{kind}_{i}"][member] for kind in ("weight", "bias"))
-                    rows = torch.addmm(bias, rows.relu() if i else rows, weight)
-                predicted.append(rows.cpu().numpy())
+                    weight, bias = layers[f"weight_{i}"][member], layers[f"bias_{i}"][member]
+                    units = torch.addmm(bias, units.relu() if i else units, weight)
+                predicted.append(units.cpu().numpy())
         return predicted
 
     def _what_fits(self) -> str:
         """Say about how many rows of a minibatch fit into the device's memory."""
         n_networks, n_rows = len(self._n_rows), self._rows.shape[1] if self._counted else self._training.batch_size
-        n_hidden, width = self._n_layers - 1, self._parameters["bias_0"].shape[1]
-        n_bytes = width * (self._half.itemsize * (n_hidden + 2) + 5) + 4 * (3 * sum(self._widths) + 1)
-        needed = n_networks * n_rows * n_bytes  # hidden units, two of their gradients, what is active, and outputs
+        # Units of all hidden layers and gradients of two; of one, beside those in half precision, also in float32.
+        per_unit = self._half.itemsize * (self._n_layers + 1) + (4 if self._half is torch.float16 else 0)
+        n_bytes = self._shapes["bias_0"][0] * per_unit + 4 * (3 * sum(self._widths) + 1)
+        needed = n_networks * n_rows * n_bytes
         free = torch.cuda.mem_get_info(self._device)[0] + torch.cuda.memory_reserved(self._device)
         fitting = min(int(0.8 * n_rows * free / needed), n_rows - 1)
         return (
             f"{n_rows:,} rows of a minibatch in {n_networks} networks take about {needed / 1e9:.1f} GB on a GPU, and "
             f"{free / 1e9:.1f} GB are free: expected training.batch_size to be at most {fitting:,}"
         )
-
-
-def _product(a: Tensor, b: Tensor) -> Tensor:
-    """Multiply batches of matrices, with sums and results in float32."""
-    if a.is_cuda and a.dtype == b.dtype == torch.float16:
-        return torch.bmm(a, b, out_dtype=torch.float32)
-    return torch.bmm(a.float(), b.float())
 
 
 def row_losses(training: Training, predicted: Any, targets: Targets) -> Any:
