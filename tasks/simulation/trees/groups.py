@@ -100,11 +100,18 @@ class Groups:
         """(n_groups · n_lanes,) numbers; lanes left over at the end hold copies of the last robot."""
         return np.minimum(np.arange(self.n_groups * self.n_lanes), self.n_robots - 1)
 
+    @cached_property
+    def _places(self) -> Int64:
+        """(n_groups · n_lanes, n_links) places of the first quantity in the blocks, links in the designs' order."""
+        group, lane = np.divmod(np.arange(self.n_groups * self.n_lanes), self.n_lanes)
+        number = self._number_of_link()[self._robot_of_lane]
+        return (group[:, None] * layout.N_ROWS + number) * self.n_lanes + lane[:, None]
+
     def _states(self, *rows: int) -> Float32:
         """Read (n_quantities, n_robots, n_links) quantities by their first rows, links in the designs' order."""
-        taken = np.stack([self.blocks[:, row : row + N_LINKS] for row in rows])
-        numbered = taken.transpose(0, 1, 3, 2).reshape(len(rows), -1, N_LINKS)[:, : self.n_robots]
-        return np.take_along_axis(numbered, self._number_of_link()[None], axis=2)
+        first = self.n_lanes * np.array(rows)[:, None, None]
+        states: Float32 = self.blocks.reshape(-1)[first + self._places[: self.n_robots]]
+        return states
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states, links in the designs' order; NaN where diverged."""
@@ -153,9 +160,6 @@ class Groups:
         links = LinkStates(**dict(zip(layout.QUANTITIES, states, strict=True)), parent=self._parent)
         change = medium.velocity_change(links, self._physics)
         velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
-        link_of_number = np.argsort(self._number_of_link(), axis=1)
         for row, velocity in zip((layout.VX, layout.VY, layout.OMEGA), velocities, strict=True):
             of_robot = velocity.astype(np.float32).reshape(self.n_robots, N_LINKS)
-            of_lane = np.take_along_axis(of_robot, link_of_number, axis=1)[self._robot_of_lane]
-            by_group = of_lane.reshape(self.n_groups, self.n_lanes, N_LINKS).transpose(0, 2, 1)
-            self.blocks[:, row : row + N_LINKS] = by_group
+            self.blocks.reshape(-1)[self._places + self.n_lanes * row] = of_robot[self._robot_of_lane]
