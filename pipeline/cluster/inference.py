@@ -6,6 +6,7 @@ for one trial while another has work for it. Without a GPU it computes on a core
 """
 
 import functools
+import math
 import mmap
 import os
 import tempfile
@@ -34,7 +35,13 @@ _IDLE_POLLS, _NAP = 2000, 1e-3  # after so many polls without work, a service sl
 
 
 class ServiceDied(RuntimeError):  # noqa: N818 (what happened)
-    """The inference service is gone. An item that is tried again finds a new one."""
+    """The inference service died, and so did the one that took its place, or it did not start."""
+
+
+def _ends(layers: "Layers", n_rows: int) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    """Return the shapes (n_members, n_rows, n_inputs) of inputs and (n_members, n_rows, n_outputs) of outputs."""
+    n_members, n_inputs, _ = layers[0][0].shape
+    return (n_members, n_rows, n_inputs), (n_members, n_rows, layers[-1][0].shape[2])
 
 
 class Exchange:
@@ -42,15 +49,15 @@ class Exchange:
 
     def __init__(self, path: Path, n_rows: int, layers: "Layers") -> None:
         """Map a file, which may be removed then."""
-        rows = len(layers[0][0]), n_rows
-        n_in, n_out = (n_rows * len(of) * of.shape[axis] for of, axis in ((layers[0][0], 1), (layers[-1][0], 2)))
+        of_x, of_y = _ends(layers, n_rows)
+        n_in, n_out = math.prod(of_x), math.prod(of_y)
         n_bytes = 2 * _LINE + 4 * (n_in + n_out)
         with path.open("r+b") as file:
             file.truncate(n_bytes)
             memory = mmap.mmap(file.fileno(), n_bytes)
         self.asked, self.answered = (np.frombuffer(memory, np.int64, 1, first) for first in (0, _LINE))
-        self.x = np.frombuffer(memory, np.float32, n_in, 2 * _LINE).reshape(*rows, -1)
-        self.y = np.frombuffer(memory, np.float32, n_out, 2 * _LINE + 4 * n_in).reshape(*rows, -1)
+        self.x = np.frombuffer(memory, np.float32, n_in, 2 * _LINE).reshape(of_x)
+        self.y = np.frombuffer(memory, np.float32, n_out, 2 * _LINE + 4 * n_in).reshape(of_y)
 
 
 class Service:
@@ -68,7 +75,7 @@ class Service:
 
         exchange = Exchange(path, n_rows, layers)
         networks = TorchNetworks(layers, exchange.x, exchange.y, self._device)
-        served = [one for one in self._served if one.exchange.asked[0] >= 0 and _is_alive(one.worker)]
+        served = [one for one in self._served if one.exchange.asked[0] >= 0 and psutil.pid_exists(one.worker)]
         self._served = [*served, _Served(exchange, networks, worker)]
         return os.getpid()
 
@@ -89,34 +96,41 @@ class _Served:
     exchange: Exchange
     networks: Any
     worker: int  # number of its process
-    n_begun: int = 0
+    begun: bool = False
 
     def advance(self) -> bool:
-        """Begin what is asked for, and answer what is done; return whether there was work."""
-        had = self.n_begun
-        if self.exchange.asked[0] > had:
-            self.n_begun += 1
+        """Begin what is asked for, or answer it where it is done; return whether there was work."""
+        if self.begun and self.networks.done():
+            self.exchange.answered[0] += 1
+            self.begun = False
+        elif not self.begun and self.exchange.asked[0] > self.exchange.answered[0]:
             self.networks.start()
-        waits = self.exchange.answered[0] < self.n_begun
-        if waits and self.networks.done():
-            self.exchange.answered[0] = self.n_begun
-        return bool(waits)
-
-
-def _is_alive(number: int) -> bool:
-    try:
-        return bool(psutil.Process(number).status() != psutil.STATUS_ZOMBIE)
-    except psutil.NoSuchProcess:
-        return False
+            self.begun = True
+        else:
+            return self.begun
+        return True
 
 
 class _Connection:
     def __init__(self, ensemble: "ServedEnsemble", n_rows: int) -> None:
+        self._layers, self._n_rows = ensemble.layers, n_rows
+        self._open()
+
+    def _open(self) -> None:
         with tempfile.NamedTemporaryFile(prefix="puddle-", dir=_FOLDER) as file:  # mapped by both when it is removed
-            self.exchange = Exchange(Path(file.name), n_rows, ensemble.layers)
-            self.service = _call_service(Path(file.name), n_rows, ensemble.layers, os.getpid())
+            shared = Path(file.name), self._n_rows, self._layers
+            self.exchange = Exchange(*shared)
+            self.service = _call_service(*shared, os.getpid())
 
     def predict(self, observation: "Float32") -> "Float32":
+        if not self._answers(observation):
+            self._open()  # another takes its place
+            if not self._answers(observation):
+                raise ServiceDied(f"the inference service died twice, the last one as process {self.service}")
+        return self.exchange.y
+
+    def _answers(self, observation: "Float32") -> bool:
+        """Wait for the outputs; return whether the service lives."""
         exchange = self.exchange
         exchange.x[:] = observation
         exchange.asked[0] += 1
@@ -124,11 +138,10 @@ class _Connection:
         while exchange.answered[0] < exchange.asked[0]:
             os.sched_yield()
             if time.monotonic() > check:
-                if not _is_alive(self.service):
-                    _connections.clear()
-                    raise ServiceDied(f"the inference service, process {self.service}, died")
+                if not psutil.pid_exists(self.service):
+                    return False
                 check = time.monotonic() + _SECONDS_BETWEEN_CHECKS
-        return exchange.y
+        return True
 
 
 def _call_service(*arguments: Any) -> int:
@@ -184,6 +197,7 @@ def connect(ensemble: "ServedEnsemble", n_rows: int) -> "Predict":
 
 @functools.lru_cache(maxsize=1)
 def _in_this_process(ensemble: "ServedEnsemble", n_rows: int) -> "Predict":
-    from tasks.residual.torch_networks import evaluated_here
+    from tasks.residual.torch_networks import TorchNetworks
 
-    return evaluated_here(ensemble, n_rows)
+    x, y = (np.empty(shape, np.float32) for shape in _ends(ensemble.layers, n_rows))
+    return TorchNetworks(ensemble.layers, x, y)

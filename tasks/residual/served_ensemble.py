@@ -8,10 +8,10 @@ from functools import cached_property
 from tasks.arrays import Float32
 from tasks.residual.ensemble import Ensemble
 
-Layers = Sequence[
-    tuple[Float32, Float32]
-]  # (n_members, n_in, n_out) weights and (n_members, n_out) biases of each layer
-Predict = Callable[[Float32], Float32]  # (n_members, n_rows, n_inputs) inputs to (n_members, n_rows, n_outputs) outputs
+Layers = Sequence[tuple[Float32, Float32]]
+"""(n_members, n_in, n_out) weights and (n_members, n_out) biases of each layer."""
+Predict = Callable[[Float32], Float32]
+"""Maps (n_members, n_rows, n_inputs) inputs to (n_members, n_rows, n_outputs) outputs."""
 
 TOLERANCE = 1e-5
 """Greatest error of outputs by rounding, relative to the largest output: that of float32, which TF32 exceeds."""

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from tasks.arrays import Float32, Float64
-from tasks.residual.served_ensemble import TOLERANCE, Layers, Predict, ServedEnsemble
+from tasks.residual.served_ensemble import TOLERANCE, Layers
 from tasks.residual.torch_descent import n_cuda_devices, one_thread
 from tasks.seeding import generator
 
@@ -42,13 +42,18 @@ class TorchNetworks:
             with torch.cuda.device(where):
                 self._record(x, y)
         x[:] = generator(0, "tolerance").normal(size=x.shape)
+        expected = _exactly(layers, x[:, :_N_CHECKED])
+        error = float(np.abs(self(x)[:, :_N_CHECKED] - expected).max() / np.abs(expected).max())
+        if not error < TOLERANCE:
+            raise OutOfTolerance(f"outputs have errors of {error:.1g} of the largest, expected less than {TOLERANCE:g}")
+
+    def __call__(self, observation: Float32) -> Float32:
+        """Map inputs to outputs, both in the caller's memory."""
+        self._x.copy_(torch.from_numpy(observation))
         self.start()
         while not self.done():
             pass
-        expected = _exactly(layers, x[:, :_N_CHECKED])
-        error = float(np.abs(y[:, :_N_CHECKED] - expected).max() / np.abs(expected).max())
-        if not error < TOLERANCE:
-            raise OutOfTolerance(f"outputs have errors of {error:.1g} of the largest, expected less than {TOLERANCE:g}")
+        return self._y.numpy()
 
     def _record(self, *arrays: Float32) -> None:
         """Record an evaluation as a CUDA graph, which copies inputs and outputs, too."""
@@ -63,7 +68,8 @@ class TorchNetworks:
                 self._evaluate()
         self._stream.synchronize()
         self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph, stream=self._stream):
+        # Another thread may ask the device meanwhile, whether it has evaluated other networks.
+        with torch.cuda.graph(self._graph, stream=self._stream, capture_error_mode="thread_local"):
             self._evaluate()
 
     @torch.no_grad()
@@ -94,19 +100,3 @@ def _exactly(layers: Layers, x: Float32) -> Float64:
     for i, (weight, bias) in enumerate(layers):
         rows = (rows.clip(0) if i else rows) @ weight.astype(np.float64) + bias[:, None]
     return rows
-
-
-def evaluated_here(ensemble: ServedEnsemble, n_rows: int) -> Predict:
-    """Return what evaluates a number of rows of each member in this process."""
-    x = np.empty((ensemble.n_members, n_rows, ensemble.weights[0].shape[1]), np.float32)
-    y = np.empty((*x.shape[:2], ensemble.weights[-1].shape[2]), np.float32)
-    networks = TorchNetworks(ensemble.layers, x, y)
-
-    def predict(observation: Float32) -> Float32:
-        x[:] = observation
-        networks.start()
-        while not networks.done():
-            pass
-        return y
-
-    return predict

@@ -1,15 +1,19 @@
 """The inference service: one for all workers, nothing left in memory, and another after its death."""
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
+from small_study import digests, one_trial, run
 
-from pipeline.cluster import Done, TaskFailed, connect
+from pipeline.cluster import connect, serial_cluster
 from pipeline.cluster import inference as service
+from pipeline.stages import STAGES
+from pipeline.store.store import Store
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.served_ensemble import ServedEnsemble
 from tests.tasks.residual.test_ensemble import ARCHITECTURE, members, observations
@@ -52,16 +56,29 @@ def test_workers_share_a_service_that_gives_what_a_process_computes_itself(local
     assert set(Path(service._FOLDER).glob("puddle-*")) == before
 
 
-def test_after_its_death_a_call_fails_and_the_next_one_finds_another(local_ray, ensemble):
+def test_a_study_goes_on_where_the_service_dies(local_ray, ensemble, tmp_path, monkeypatch):
+    """Another takes its place, also for workers that wait for it, and no number is another."""
+    settings, stages = one_trial("work.networks=gpu", "grid.environments=[residual_slush]"), STAGES[:3]
+    with serial_cluster() as serial:
+        expected = run(settings, Store.open(tmp_path / "serial", create=True), serial, stages)
     local_ray.submit(ask, ensemble, 50)
-    (first,) = results(local_ray, 1)
-    psutil.Process(first.result[2]).kill()
-    for _ in range(4):
-        local_ray.submit(ask, ensemble, 50)
-    outcomes = results(local_ray, 4)
-    failed = [outcome for outcome in outcomes if isinstance(outcome, TaskFailed)]
-    assert not [outcome for outcome in map(str, failed) if "ServiceDied: the inference service, process" not in outcome]
-    assert len(failed) <= 2  # one of each worker that was connected
-    again = [outcome.result for outcome in outcomes if isinstance(outcome, Done)]
-    assert {number for _, _, number in again} != {first.result[2]}
-    np.testing.assert_array_equal(again[-1][0], first.result[0])
+    ((_, _, number),) = [outcome.result for outcome in results(local_ray, 1)]
+    submit = local_ray.submit
+
+    def kill_in_the_second_segment(*arguments, name="", **options):
+        if name == "evolve residual_slush/1m/trial-0/segment-1":
+            psutil.Process(number).kill()
+        return submit(*arguments, name=name, **options)
+
+    monkeypatch.setattr(local_ray, "submit", kill_in_the_second_segment)
+    found = run(settings, Store.open(tmp_path / "store", create=True), local_ray, stages)
+    assert not psutil.pid_exists(number)
+    assert digests(found) == digests(expected)
+
+
+def test_a_service_that_dies_again_fails_the_item(ensemble, monkeypatch):
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    monkeypatch.setattr(service, "_call_service", lambda *_: dead.pid)
+    with pytest.raises(service.ServiceDied, match=rf"died twice, the last one as process {dead.pid}"):
+        service._Connection(ensemble, 5).predict(observations(5))

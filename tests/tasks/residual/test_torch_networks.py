@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from pipeline.cluster import connect
 from tasks.design import random_designs
 from tasks.residual import Architecture
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.served_ensemble import TOLERANCE, ServedEnsemble
-from tasks.residual.torch_networks import OutOfTolerance, TorchNetworks, evaluated_here
+from tasks.residual.torch_networks import OutOfTolerance, TorchNetworks
 from tasks.simulation import Conditions, simulate
 from tasks.world import ResidualSlush
 from tests.tasks.residual.test_ensemble import members, observations
@@ -15,7 +16,7 @@ from tests.tasks.residual.test_ensemble import members, observations
 
 def ensembles(**size):
     local = Ensemble.from_members(members(Architecture(**size))[1])
-    return local, ServedEnsemble(local.weights, local.biases, local.form, evaluated_here)
+    return local, ServedEnsemble(local.weights, local.biases, local.form, connect)
 
 
 @pytest.mark.parametrize("size", [{"hidden_layers": 1, "width": 7}, {}])
