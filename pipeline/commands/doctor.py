@@ -21,6 +21,8 @@ from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
 from pipeline.store.store import Store
 
+Verdict = Literal["ok", "warn", "fail"]
+
 _CONSTRAINTS = Path(str(files("pipeline") / "constraints.txt"))  # package versions that were tested together
 
 _BYTES_PER_WORKER = 450e6
@@ -46,7 +48,7 @@ def doctor(options: StudyOptions, workers: Workers = None) -> None:
 class Check:
     """The result of one check."""
 
-    verdict: Literal["ok", "warn", "fail"]
+    verdict: Verdict
     what: str
     found: str
     advice: str  # where the verdict is not ok
@@ -65,6 +67,7 @@ def examine(settings: Settings, store: Path, *, n_workers: int | None) -> Iterat
     yield _processor(n_workers)
     yield _memory(n_workers)
     yield _disk(settings, store)
+    yield from _gpu(settings)
 
 
 def _versions() -> Check:
@@ -113,3 +116,16 @@ def _disk(settings: Settings, store: Path) -> Check:
     found = f"{free / 1e9:.1f} GB free at {folder}, {needs if left else f'study {settings.name} is done'}"
     advice = "Free some space (`puddle gc`), or put the store elsewhere: --store."
     return Check("ok" if free >= needed else "fail", "disk", found, advice)
+
+
+def _gpu(settings: Settings) -> Iterator[Check]:
+    """Look for a CUDA device, if the study is to use one."""
+    trained = any(learner.training.device == "cuda" for learner in settings.ensembles.values())
+    if not trained and settings.work.networks == "local":
+        return
+    from tasks.residual.torch_descent import n_cuda_devices, no_device  # imports torch
+
+    missing = no_device()
+    verdict: Verdict = "ok" if not missing else "fail" if trained else "warn"
+    advice = "Without one: training.device=cpu trains (other) networks, and work.networks=local is faster than gpu."
+    yield Check(verdict, "GPU", missing or f"{n_cuda_devices()} for torch", advice)

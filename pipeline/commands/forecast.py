@@ -7,7 +7,7 @@ import typer
 from pipeline.cluster.process import number_of_cores
 from pipeline.commands.options import StudyOptions, with_options
 from pipeline.commands.terminal import to_stdout
-from pipeline.commands.time_model import forecast_stages
+from pipeline.commands.time_model import UNMEASURED, forecast_stages
 
 _HOUR = 3600.0
 
@@ -34,7 +34,8 @@ def forecast(
         to_stdout(f"{one.stage:<9}{work:>19}{taken}  {one.source}".rstrip())
     core_seconds, seconds = sum(one.core_seconds for one in stages), sum(one.seconds(n_cores) for one in stages)
     n_bytes = sum(one.n_bytes for one in stages)
-    to_stdout(f"{'all':<28}{_time(core_seconds):>11}{_time(seconds):>9}{_size(n_bytes):>9}")
+    lacking = f"  without what is {UNMEASURED}" * any(UNMEASURED in one.source for one in stages)
+    to_stdout(f"{'all':<28}{_time(core_seconds):>11}{_time(seconds):>9}{_size(n_bytes):>9}{lacking}")
 
 
 def _time(seconds: float) -> str:

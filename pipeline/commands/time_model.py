@@ -26,7 +26,7 @@ from tasks.design import N_LINKS
 from tasks.residual import Architecture, Training
 from tasks.world import EnvironmentName
 
-_UNKNOWN = "nothing: not measured on a GPU"
+UNMEASURED = "unmeasured on a GPU"
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
 _SECONDS_PER_STEP = {"batch": 0.2e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
 _SECONDS_PER_MEMBER_STEP = 0.35e-6  # of one robot under one network, besides the network's arithmetic
@@ -78,7 +78,7 @@ class StageForecast:
     core_seconds: float  # of GPUs, where these compute
     longest_chain_seconds: float  # no number of cores gets below this
     n_bytes: float
-    source: str  # "store", "table", "nothing: not measured on a GPU", or several
+    source: str  # "store", "table", "unmeasured on a GPU" (whose time is not counted), or several
 
     def seconds(self, n_cores: float) -> float:
         """Return the time that the stage takes on a number of cores [s]."""
@@ -112,9 +112,8 @@ def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Ma
         if not units:
             continue
         measured = costs.get(_kind(stage, chain))
-        served = settings.work.networks == "gpu" and getattr(chain.spec, "environment", "") in settings.learners
-        unknown = measured is None and (chain.one_gpu or served)
-        sources.add("store" if measured else _UNKNOWN if unknown else "table")
+        unknown = measured is None and (chain.one_gpu or _has_served_networks(settings, chain))
+        sources.add("store" if measured else UNMEASURED if unknown else "table")
         size = sum(units) * chain.weight
         seconds = size * measured.seconds if measured else 0 if unknown else _expected(stage, settings, chain, units)
         n_bytes += size * measured.n_bytes if measured else _expected_bytes(stage, settings, chain, units)
@@ -124,6 +123,13 @@ def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Ma
         else:
             longest = max(longest, seconds / _workers_per_generation(settings, chain))
     return StageForecast(stage.name, stage.unit, n_units, total, longest, n_bytes, " and ".join(sorted(sources)))
+
+
+def _has_served_networks(settings: Settings, chain: Chain[Any]) -> bool:
+    """Return whether the inference service evaluates networks for a chain."""
+    trial = chain.spec if isinstance(chain.spec, TrialSpec) else getattr(chain.spec, "trial", None)
+    under_networks = isinstance(chain.identity, AssessmentId) or getattr(trial, "environment", "") in settings.learners
+    return under_networks and settings.work.networks == "gpu"
 
 
 def _survey(settings: Settings, store: Store) -> tuple[Upstream, dict[_Kind, _Cost]]:

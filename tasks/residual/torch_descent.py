@@ -2,6 +2,7 @@
 
 import math
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -200,8 +201,9 @@ class TorchDescent:
         free = torch.cuda.mem_get_info(self._device)[0] + torch.cuda.memory_reserved(self._device)
         fitting = min(int(0.8 * n_rows * free / needed), n_rows - 1)
         return (
-            f"{n_rows:,} rows of a minibatch in {n_networks} networks take about {needed / 1e9:.1f} GB on a GPU, and "
-            f"{free / 1e9:.1f} GB are free: expected training.batch_size to be at most {fitting:,}"
+            f"a minibatch of {n_rows:,} rows for {n_networks} network{'s' * (n_networks > 1)} takes about "
+            f"{needed / 1e9:.1f} GB on a GPU, and {free / 1e9:.1f} GB are free: expected training.batch_size to be at "
+            f"most {fitting:,}"
         )
 
 
@@ -231,21 +233,29 @@ def row_losses(training: Training, predicted: Any, targets: Targets) -> Any:
 
 def n_cuda_devices() -> int:
     """Count the CUDA devices that torch can use here."""
-    return torch.cuda.device_count() if torch.cuda.is_available() else 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a driver that is missing or too old, which no_device says
+        return torch.cuda.device_count() if torch.cuda.is_available() else 0
+
+
+def no_device() -> str:
+    """Say why torch can use no CUDA device here, and what to do; nothing if it can."""
+    if n_cuda_devices():
+        return ""
+    if not torch.version.cuda:
+        return f"torch {torch.__version__} was built without CUDA (make setup TORCH=cuda)"
+    try:
+        torch.cuda.init()  # type: ignore[no-untyped-call]
+        why = "finds no device"
+    except RuntimeError as error:  # such as that the driver is too old
+        why = str(error).partition(". ")[0].splitlines()[0]
+    return f"torch {torch.__version__}, which was built for CUDA {torch.version.cuda}: {why}"
 
 
 def require_device(training: Training) -> None:
-    """Raise NoDevice, with torch's reason, if a training needs a CUDA device and there is none."""
-    if training.device == "cpu" or n_cuda_devices():
-        return
-    why = "it was built without CUDA"
-    if torch.version.cuda:
-        why = f"it was built for CUDA {torch.version.cuda}"
-        try:
-            torch.cuda.init()  # type: ignore[no-untyped-call]
-        except RuntimeError as error:  # such as that the driver is too old
-            why += f"; {str(error).partition('. ')[0].splitlines()[0]}"
-    raise NoDevice(f"training.device is cuda, but torch {torch.__version__} finds no CUDA device: {why}")
+    """Raise NoDevice, with the reason, if a training needs a CUDA device and torch can use none."""
+    if training.device == "cuda" and (why := no_device()):
+        raise NoDevice(f"training.device is cuda, and there is no CUDA device: {why}")
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import psutil
+import pytest
 from command_line import call
 from small_study import ON_DRY_LAND
 
@@ -50,3 +51,16 @@ def test_finished_work_needs_no_disk_space(store, tmp_path, monkeypatch):
     free = 0
     found = doctor._disk(tiny(), store.root)
     assert found.verdict == "ok" and found.found.endswith("study tiny is done")
+
+
+@pytest.mark.parametrize(
+    ("asked", "verdict", "code"), [("training.device=cuda", "fail", 1), ("work.networks=gpu", "warn", 0)]
+)
+def test_a_gpu_is_looked_for_where_the_study_asks_for_one(asked, verdict, code, tmp_path, monkeypatch, capsys):
+    given = ("doctor", "--preset", "smoke", "--set", asked, "--store", str(tmp_path), "--workers", "0")
+    for n_devices, expected, found in ((0, verdict, "torch"), (2, "ok", "2 for torch")):
+        monkeypatch.setattr("tasks.residual.torch_descent.n_cuda_devices", lambda n=n_devices: n)
+        assert call(*given) == (code if n_devices == 0 else 0)
+        said = capsys.readouterr().out
+        assert f"{expected:<5} GPU: {found}" in said
+        assert ("work.networks=local" in said) == (n_devices == 0)

@@ -121,5 +121,5 @@ def test_a_missing_gpu_is_a_message_before_anything_is_made(tmp_path, monkeypatc
     monkeypatch.setattr("tasks.residual.torch_descent.n_cuda_devices", lambda: 0)
     store = tmp_path / "store"
     said = refused(capsys, "study", "--preset", "smoke", "--set", "training.device=cuda", "--store", str(store))
-    assert "training.device is cuda, but torch" in said and "training.device=cpu" in said
+    assert "training.device is cuda, and there is no CUDA device: torch" in said and "training.device=cpu" in said
     assert not store.exists()

@@ -65,8 +65,15 @@ def test_the_command_prints_a_table(tmp_path, capsys):
     assert [line.split()[0] for line in out.splitlines()[2:10]] == [stage.name for stage in STAGES]
 
 
-def test_no_time_is_told_of_a_gpu_that_nothing_was_measured_on():
-    on_a_gpu = load(Settings, preset_path("paper"), ["training.device=cuda", "work.networks=gpu"])
-    train, evolve = forecast_stages(on_a_gpu)[1:3]
-    assert evolve.source == "nothing: not measured on a GPU and table"
-    assert train.source == "nothing: not measured on a GPU" and train.core_seconds == 0 and train.n_units == 500_000
+def test_no_time_is_told_of_a_gpu_that_nothing_was_measured_on(tmp_path, capsys):
+    given = ["training.device=cuda", "work.networks=gpu"]
+    left = {one.stage: one for one in forecast_stages(load(Settings, preset_path("paper"), given))}
+    for stage in ("train", "assess"):
+        assert left[stage].source == "unmeasured on a GPU" and left[stage].core_seconds == 0 and left[stage].n_units
+    on_cores = {one.stage: one for one in forecast_stages(load(Settings, preset_path("paper")))}
+    for stage in ("evolve", "transfer"):
+        assert left[stage].source == "table and unmeasured on a GPU"
+        assert 0 < left[stage].core_seconds < 0.5 * on_cores[stage].core_seconds
+    assert left["adapt"] == on_cores["adapt"]
+    assert call("forecast", "--preset", "paper", "--store", str(tmp_path / "none"), "--set", given[0]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith("without what is unmeasured on a GPU")

@@ -1,5 +1,7 @@
 """Training by torch: gradients, AdamW, dropout, and torch left as it was."""
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,14 @@ from tasks.residual import Architecture, Training
 from tasks.residual.forms import Targets
 from tasks.residual.hyperparameters import learning_rate
 from tasks.residual.network import initial_weights
-from tasks.residual.torch_descent import OutOfDeviceMemory, TorchDescent, n_cuda_devices, row_losses
+from tasks.residual.torch_descent import (
+    NoDevice,
+    OutOfDeviceMemory,
+    TorchDescent,
+    n_cuda_devices,
+    require_device,
+    row_losses,
+)
 
 ARCHITECTURE = Architecture(hidden_layers=2, width=16)
 
@@ -165,7 +174,9 @@ def test_a_minibatch_that_does_not_fit_is_reported_with_one_that_does(monkeypatc
     monkeypatch.setattr(descent, "gradient", no_memory)
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (75_000, 10**9))
     monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 0)
-    with pytest.raises(OutOfDeviceMemory, match=r"^256 rows of a minibatch in 1 network.* to be at most \d+$") as said:
+    with pytest.raises(
+        OutOfDeviceMemory, match=r"^a minibatch of 256 rows for 1 network takes .* to be at most \d+$"
+    ) as said:
         descent.advance(1)
     # a row takes 16 units of 4 bytes in two layers and two gradients, and three times its 12 columns
     n_bytes = 16 * 4 * 4 + 4 * (3 * 12 + 1)
@@ -189,6 +200,35 @@ def test_it_learns_and_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_
     torch.set_num_threads(1)
     for name, array in runs[0].items():
         assert array.tobytes() == runs[1][name].tobytes(), name
+
+
+@pytest.mark.parametrize(
+    ("built_for", "error", "said"),
+    [
+        (None, None, r"torch \S+ was built without CUDA \(make setup TORCH=cuda\)$"),
+        ("12.8", None, r"built for CUDA 12.8: finds no device$"),
+        (
+            "12.8",
+            "The NVIDIA driver on your system is too old (found version 11040). Please update your GPU driver by\nmore",
+            r"built for CUDA 12.8: The NVIDIA driver on your system is too old \(found version 11040\)$",
+        ),
+    ],
+)
+def test_a_missing_device_is_a_line_that_says_why(built_for, error, said, monkeypatch, recwarn):
+    def start():
+        if error:
+            raise RuntimeError(error)
+
+    def not_available():
+        warnings.warn("CUDA initialization: The NVIDIA driver on your system is too old", stacklevel=1)  # as torch does
+        return False
+
+    monkeypatch.setattr(torch.version, "cuda", built_for)
+    monkeypatch.setattr(torch.cuda, "init", start)
+    monkeypatch.setattr(torch.cuda, "is_available", not_available)
+    with pytest.raises(NoDevice, match=f"^training.device is cuda, and there is no CUDA device: .*{said}"):
+        require_device(Training(device="cuda"))
+    assert not recwarn.list
 
 
 @pytest.mark.skipif(n_cuda_devices() == 0, reason="there is no CUDA device")
