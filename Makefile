@@ -16,7 +16,8 @@ unexport PIP_TARGET PIP_PREFIX
 PRESET ?= laptop
 MINUTES ?= 5
 EXTRAS ?=
-TORCH ?= cpu
+OPTIONS ?=
+TORCH ?= $(or $(patsubst $(VENV)/.torch-%,%,$(wildcard $(VENV)/.torch-*)),cpu)
 TORCH_INDEX ?=
 
 # The first Python that runs and is one of 3.11 to 3.13; override with `make PYTHON=...`.
@@ -63,8 +64,8 @@ $(VENV)/.installed-%: $(INSTALLED)
 	@$(call install,-C editable_mode=compat --constraint constraints.txt --editable ".[$*]")
 	@touch $@
 
-study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row-small, row, desk, paper, pontoon, tank, fluid)
-	$(PUDDLE) study --preset $(PRESET)
+study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row-small, row, desk, paper, pontoon, tank, fluid; OPTIONS of puddle study)
+	$(PUDDLE) study --preset $(PRESET) $(OPTIONS)
 
 test: $(INSTALLED_DEV) ## check style, format, types and layers, and run the tests
 	$(VENV)/bin/ruff check --quiet .
