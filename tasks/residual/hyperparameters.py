@@ -98,8 +98,8 @@ class Training(Parameters):
     last bits, so the device is a setting and not detected: a settings file must describe the same study on every
     machine."""
     products: Literal["float32", "tf32", "half"] = Field(default="float32", exclude_if=lambda value: value == "float32")
-    """Precision of matrix products on a GPU, whose sums are in float32: "tf32" rounds factors to 11 bits in place of 24,
-    "half" all units and gradients between hidden layers, which moves half the memory. On a core it is float32."""
+    """Precision of matrix products on a GPU, whose sums are in float32: "tf32" rounds factors to 11 bits of 24, "half"
+    units and gradients between hidden layers, too, which moves half the memory. On a core it is float32."""
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:
