@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from tasks.residual.served_ensemble import Layers, Predict, ServedEnsemble
 
 _FOLDER = "/dev/shm"  # of files in memory
-_LINE = 64  # bytes of a cache line; each counter has its own
 _N_CONNECTIONS = 4  # of a worker; if there are more, the first is closed
 _SECONDS_BETWEEN_CHECKS = 1.0  # of a worker that waits, whether the service is there [s]
 _N_ATTEMPTS, _SECONDS_BETWEEN_ATTEMPTS = 10, 0.5  # to find a service, after the death of one
@@ -38,26 +37,21 @@ class ServiceDied(RuntimeError):  # noqa: N818 (what happened)
     """The inference service died, and so did the one that took its place, or it did not start."""
 
 
-def _ends(layers: "Layers", n_rows: int) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """Return the shapes (n_members, n_rows, n_inputs) of inputs and (n_members, n_rows, n_outputs) of outputs."""
-    n_members, n_inputs, _ = layers[0][0].shape
-    return (n_members, n_rows, n_inputs), (n_members, n_rows, layers[-1][0].shape[2])
-
-
 class Exchange:
-    """Memory that a worker shares with the service: inputs, outputs, and how many were asked for and answered."""
+    """Memory that a worker shares with the service: inputs, outputs, and how many were asked for and answered.
+
+    Each part has pages of its own, which a GPU locks.
+    """
 
     def __init__(self, path: Path, n_rows: int, layers: "Layers") -> None:
         """Map a file, which may be removed then."""
-        of_x, of_y = _ends(layers, n_rows)
-        n_in, n_out = math.prod(of_x), math.prod(of_y)
-        n_bytes = 2 * _LINE + 4 * (n_in + n_out)
-        with path.open("r+b") as file:
-            file.truncate(n_bytes)
-            memory = mmap.mmap(file.fileno(), n_bytes)
-        self.asked, self.answered = (np.frombuffer(memory, np.int64, 1, first) for first in (0, _LINE))
-        self.x = np.frombuffer(memory, np.float32, n_in, 2 * _LINE).reshape(of_x)
-        self.y = np.frombuffer(memory, np.float32, n_out, 2 * _LINE + 4 * n_in).reshape(of_y)
+        n_members, n_in, _ = layers[0][0].shape
+        of_x, of_y = (n_members, n_rows, n_in), (n_members, n_rows, layers[-1][0].shape[2])
+        first_y = mmap.PAGESIZE * (1 + math.ceil(4 * math.prod(of_x) / mmap.PAGESIZE))
+        counts = np.memmap(path, np.int64, "r+", 0, (2,)).view(np.ndarray)
+        self.asked, self.answered = counts[:1], counts[1:]
+        self.x = np.memmap(path, np.float32, "r+", mmap.PAGESIZE, of_x).view(np.ndarray)
+        self.y = np.memmap(path, np.float32, "r+", first_y, of_y).view(np.ndarray)
 
 
 class Service:
@@ -199,5 +193,6 @@ def connect(ensemble: "ServedEnsemble", n_rows: int) -> "Predict":
 def _in_this_process(ensemble: "ServedEnsemble", n_rows: int) -> "Predict":
     from tasks.residual.torch_networks import TorchNetworks
 
-    x, y = (np.empty(shape, np.float32) for shape in _ends(ensemble.layers, n_rows))
-    return TorchNetworks(ensemble.layers, x, y)
+    with tempfile.NamedTemporaryFile(dir=_FOLDER) as file:
+        exchange = Exchange(Path(file.name), n_rows, ensemble.layers)
+    return TorchNetworks(ensemble.layers, exchange.x, exchange.y)

@@ -145,18 +145,16 @@ def _discard(settings: Settings, names: Collection[str], store: Store) -> None:
 
 def _check_device(settings: Settings, store: Store | None) -> None:
     """Refuse networks that are to be trained on a GPU that is not here, before the throws are made."""
-    on_gpu = [learner.training for learner in settings.ensembles.values() if learner.training.device == "cuda"]
-    if not on_gpu:
+    if all(learner.training.device == "cpu" for learner in settings.ensembles.values()):
         return
     until = STAGES[: 1 + STAGES.index(TRAIN)]
     if store is not None and not survey(settings, until, store).upstream[TRAIN.name].unfinished:
         return
-    from tasks.residual.torch_descent import NoDevice, require_device  # imports torch
+    from tasks.residual.torch_descent import no_device  # imports torch
 
-    try:
-        require_device(on_gpu[0])
-    except NoDevice as error:
-        raise PuddleError(f"{error}. Networks of a core are others: training.device=cpu") from None
+    if why := no_device():
+        advice = "Networks of a core are others: training.device=cpu"
+        raise PuddleError(f"training.device is cuda, and there is no CUDA device: {why}. {advice}")
 
 
 def _check_inputs(options: StudyOptions, settings: Settings, first: AnyStage) -> None:

@@ -26,7 +26,7 @@ slows a bar down, no rollout, however long, grows beyond all bounds. Half a turn
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -215,38 +215,6 @@ def _at(path: Tensor, steps: Tensor) -> Tensor:
     return earlier + (steps - before)[:, :, None] * (later - earlier)
 
 
-def _weight_updates(parameters: Sequence[Tensor], weight_decay: float) -> Callable[[float], None]:
-    """Return the update of AdamW, which takes a learning rate and changes parameters in place by their gradients.
-
-    It is the function behind torch.optim.AdamW. The class would import torch's compiler, which takes each process that
-    trains 2 to 6 s.
-    """
-    mean, mean_square = ([torch.zeros_like(parameter) for parameter in parameters] for _ in range(2))
-    n_updates = [torch.zeros((), device=parameter.device) for parameter in parameters]
-
-    @torch.no_grad()
-    def update(rate: float) -> None:
-        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-        adamw(
-            list(parameters),
-            gradients,
-            mean,
-            mean_square,
-            [],
-            n_updates,
-            fused=True,
-            amsgrad=False,
-            beta1=BETA_1,
-            beta2=BETA_2,
-            lr=rate,
-            weight_decay=weight_decay,
-            eps=EPSILON,
-            maximize=False,
-        )
-
-    return update
-
-
 @contextmanager
 def _deterministic() -> Iterator[None]:
     """Restrict torch to one thread and deterministic algorithms; restore its state afterwards."""
@@ -265,8 +233,9 @@ def fit_medium(paths: SeenPaths, physics: Physics, *, n_iterations: int = 200) -
         torch.manual_seed(_SEED)
         model = MediumModel(physics)
         windows = _Windows(paths, _parts(paths), physics.time_step)
-        parameters = list(model.parameters())
-        update = _weight_updates(parameters, weight_decay=0.01)
+        parameters: list[Tensor] = list(model.parameters())
+        mean, mean_square = ([torch.zeros_like(parameter) for parameter in parameters] for _ in range(2))
+        n_updates = [torch.zeros(()) for _ in parameters]
         Q = windows.estimate_starts(model, physics.gravity, n_sweeps=5)
         for iteration in range(n_iterations):
             if iteration and iteration % _RELINEARISE == 0:
@@ -279,7 +248,24 @@ def fit_medium(paths: SeenPaths, physics: Physics, *, n_iterations: int = 200) -
             (_ROBUST * torch.log1p(squared / _ROBUST)).mean().backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(parameters, 1.0)
             warm_up = min((iteration + 1) / _WARM_UP, 1.0)
-            update(warm_up * _RATE * (1 + math.cos(math.pi * iteration / n_iterations)) / 2)
+            # The function behind torch.optim.AdamW, which would import torch's compiler, for 2 to 6 s.
+            with torch.no_grad():
+                adamw(
+                    parameters,
+                    [cast("Tensor", parameter.grad) for parameter in parameters],
+                    mean,
+                    mean_square,
+                    [],
+                    n_updates,
+                    fused=True,
+                    amsgrad=False,
+                    beta1=BETA_1,
+                    beta2=BETA_2,
+                    lr=warm_up * _RATE * (1 + math.cos(math.pi * iteration / n_iterations)) / 2,
+                    weight_decay=0.01,
+                    eps=EPSILON,
+                    maximize=False,
+                )
     return model
 
 
