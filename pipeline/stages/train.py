@@ -161,7 +161,7 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
     trained = upstream["train"].done.items()
     members = {chain: _summarise_member(chain, [StoredFiles(store, item)]).metrics for chain, (item,) in trained}
     if not members:
-        return Summary(["no trial needs residual networks"])
+        return Summary([] if settings.needs_ensemble else ["no trial needs residual networks"])
     errors = [f"{chain.label}: {_error(metrics)}" for chain, metrics in members.items()]
     if of_tracked := [metrics[WHOLE_ERROR] for metrics in members.values() if WHOLE_ERROR in metrics]:
         heading = (

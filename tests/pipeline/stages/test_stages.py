@@ -14,7 +14,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.stages.segments import mean_and_deviation
 from pipeline.store.encoding import canonical_json
-from pipeline.workflow.stage import Item
+from pipeline.workflow.stage import Failure, Item, Results
 from tasks.design import Designs, check
 from tasks.evolution import OPERATORS
 
@@ -129,3 +129,9 @@ def test_every_preset_plans_every_stage(name):
     assert settings.name == name
     for stage in STAGES:
         assert all(chain.n_items >= 1 for chain in stage.plan(settings))
+
+
+def test_no_network_is_called_unneeded_because_it_failed(settings):
+    (train,) = (stage for stage in STAGES if stage.name == "train")
+    failed = Results("train", {}, {train.plan(settings)[0].identity: Failure("out of memory")})
+    assert not train.summarise(settings, {"train": failed}, None).lines
