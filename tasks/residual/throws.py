@@ -47,7 +47,7 @@ class Throws(Parameters):
     """Starts: "paper" draws them uniformly within the ranges below [P]. "robots" spreads them evenly, as a scrambled
     Sobol sequence, over the states that links of random designs pass through in the base simulator, and ignores the
     ranges below. "struck" strikes these bars, too, in one of five steps, as hard as joints and motors do: a fluid that
-    is accelerated with a link answers such kicks, which networks of the forms plain_kicked and wetted_kicked see."""
+    is accelerated with a link answers such kicks, which networks of the form wetted_mass learn."""
     length_scales: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 2.0, 3.0), min_length=1)
     """Long axes of links, drawn with equal probability [m]. [P]"""
     y_reach: float = Field(default=6.0, ge=0.0, le=1000.0)

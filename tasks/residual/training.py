@@ -206,17 +206,18 @@ def _lesson(
     if form.constants:
         law["constants"], law["factors"] = form.fit(links, residual, weights * times[:, None], physics)
         left_over = residual - changes_by(np.zeros((len(read), len(form.outputs)), np.float32), read)
-    inputs = read[:, : len(form.inputs)]
-    examples = inputs, form.measured(inputs, left_over), weights
+    examples = read, form.measured(read, left_over), weights
     learned, held_out = (tuple(array[rows] for array in examples) for rows in (to_learn, to_validate))
     mirrored = bool(form.mirror) and not is_current(*current(transitions[to_learn]))
     learned = symmetric_copies(form, *learned, mirrored=mirrored)
-    standardisation = Standardisation.of(*learned[:2], standardise_targets=training.standardise_targets)
+    seen = slice(len(form.inputs))
+    choices = {"standardise_targets": training.standardise_targets}
+    standardisation = Standardisation.of(learned[0][:, seen], learned[1], **choices)
 
-    def standardised(inputs: Float32, change: Float32, weights: Float32) -> tuple[Float32, Targets]:
+    def standardised(read: Float32, change: Float32, weights: Float32) -> tuple[Float32, Targets]:
         standard = standardisation.standard_residual(change)
-        targets = form.targets(inputs, standard, weights, standardisation.residual_deviation)
-        return standardisation.standard_observation(inputs), targets
+        targets = form.targets(read, standard, weights, standardisation.residual_deviation)
+        return standardisation.standard_observation(read[:, seen]), targets
 
     def finish(
         weights: dict[str, Float32], curve: Float64 | None = None, standard: Float32 | None = None

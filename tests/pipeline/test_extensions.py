@@ -79,7 +79,7 @@ def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path):
     said = (
         "network.form: expected any of law, law_and_network, plain, plain_kicked, signed_angle, wetted, wetted_kicked"
     )
-    assert unknown.returncode == 2 and f"{said}, got 'link_axes'" in unknown.stderr
+    assert unknown.returncode == 2 and f"{said}, wetted_mass, got 'link_axes'" in unknown.stderr
 
 
 def test_designs_evolve_with_a_controller_of_a_file(run, tmp_path):

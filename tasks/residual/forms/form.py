@@ -34,11 +34,11 @@ class Targets(NamedTuple):
     shares: Float32  # (n_rows, n_errors · n_further) of each further output in the errors, output by output
 
 
-def _as_measured(inputs: Float32, change: Float32) -> Float32:  # noqa: ARG001
+def _as_measured(read: Float32, change: Float32) -> Float32:  # noqa: ARG001
     return change
 
 
-def _as_they_are(inputs: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:  # noqa: ARG001
+def _as_they_are(read: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:  # noqa: ARG001
     return Targets(change, weights if (weights != 1).any() else weights[:, :0], change[:, :0])
 
 
@@ -81,10 +81,10 @@ class Form:
     """Components of a step's residual that networks learn as well, before the outputs, and that act on nothing."""
 
     measured: Callable[[Float32, Float32], Float32] = _as_measured
-    """(n_rows, n_beside + n_outputs) changes, each in the unit of its output, by the inputs and (n_rows, n_beside + 3)
-    true residuals. Training standardises them."""
+    """(n_rows, n_beside + n_outputs) changes, each in the unit of its output, by what is read and
+    (n_rows, n_beside + 3) true residuals. Training standardises them."""
     targets: Callable[[Float32, Float32, Float32, Float32], Targets] = _as_they_are
-    """Targets, by the inputs, these changes in units of their deviations, weights of the squared errors of the first
+    """Targets, by what is read, these changes in units of their deviations, weights of the squared errors of the first
     n_beside + 3, and the deviations."""
     symmetries: Sequence[Collection[str]] = ()
     """Names among inputs, ``beside`` and ``outputs`` that change sign where a motion is exchanged for another that is
@@ -166,7 +166,7 @@ def kicks_unseen(form: Form, transitions: Transitions) -> str:
     back = -float(kick @ change) / square  # strikes depend on nothing, so this slope is that of all else being equal
     if back < 4 * float(change.std()) / square**0.5:
         return ""
-    return f"the fluid takes back {back:.0%} of strikes, which these networks do not see: use the form wetted_kicked"
+    return f"the fluid takes back {back:.0%} of strikes, which these networks do not see: use the form wetted_mass"
 
 
 def observe(form: Form, links: LinkStates) -> Float32:
@@ -186,13 +186,13 @@ def velocity_changes(form: Form, outputs: Floats, inputs: Floats) -> Floats:
 
 
 def symmetric_copies(
-    form: Form, inputs: Float32, change: Float32, weights: Float32, *, mirrored: bool
+    form: Form, read: Float32, change: Float32, weights: Float32, *, mirrored: bool
 ) -> tuple[Float32, Float32, Float32]:
     """Return the rows, and their copies by each symmetry and by several at once, with or without mirror images."""
     for odd in (*form.symmetries, *([form.mirror] if mirrored else [])):
-        inputs, change = (
+        read, change = (
             np.concatenate((rows, rows * np.array([1 - 2 * (name in odd) for name in names], np.float32)))
-            for rows, names in ((inputs, form.inputs), (change, form.learned))
+            for rows, names in ((read, (*form.inputs, *form.unseen)), (change, form.learned))
         )
         weights = np.tile(weights, (2, 1))
-    return inputs, change, weights
+    return read, change, weights

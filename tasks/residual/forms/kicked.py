@@ -7,9 +7,13 @@ so networks learn it from struck ones alone (the setting ``throws.design``).
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from tasks.arrays import Float32
 from tasks.compiled import formula
 from tasks.residual.forms import plain, wetted
-from tasks.residual.forms.form import register_form
+from tasks.residual.forms.form import Targets, register_form
+from tasks.simd.lanes import from_row, select
 
 
 @formula
@@ -33,16 +37,70 @@ register_form(
         reads_kicks=True,
     )
 )
+_KICK, _N_SEEN = ("kick_along", "kick_across", "kick_omega"), len(wetted.WETTED.inputs)
 (half_turn,) = wetted.WETTED.symmetries
 WETTED = register_form(
     replace(
         wetted.WETTED,
         name="wetted_kicked",
         about=f"{wetted.WETTED.about} They also see what joints and motors changed of its velocity in the last step.",
-        inputs=(*wetted.WETTED.inputs, "kick_along", "kick_across", "kick_omega"),
+        inputs=(*wetted.WETTED.inputs, *_KICK),
         read=read_wetted,
         reads_kicks=True,
-        symmetries=((*half_turn, "kick_along", "kick_across"),),
-        mirror=(*wetted.WETTED.mirror, "kick_across", "kick_omega"),
+        symmetries=((*half_turn, *_KICK[:2]),),
+        mirror=(*wetted.WETTED.mirror, *_KICK[1:]),
+    )
+)
+
+
+# Networks of added mass: in a link's axes, what is under water takes back the shares c of a kick k,
+#
+#     Δv = A_s ((f_t - c_t k_t) t + (f_n - c_n k_n) n + b ŷ),    Δω = J (f_ω - c_ω k_ω)
+#
+# The outputs do not depend on the kick, so kicks that are larger than those of struck bars teach nothing wrong.
+
+
+@formula
+def _share(c: Any) -> Any:
+    least = select(c > 0.0, c, 0.0)
+    return select(least < 1.0, least, 1.0)
+
+
+@formula
+def _act_by_mass(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
+    kick = from_row(read, _N_SEEN)
+    along = outputs[0] - _share(outputs[4]) * kick[0]
+    across = outputs[1] - _share(outputs[5]) * kick[1]
+    return wetted.act((along, across, outputs[2] - _share(outputs[6]) * kick[2], outputs[3]), read)
+
+
+def _measured_by_mass(read: Float32, change: Float32) -> Float32:
+    """Return the same as of wetted networks, and in the unit of c, changes per root mean square of a kick."""
+    measured, kick = wetted.WETTED.measured(read, change), read[:, _N_SEEN:]
+    scale = np.sqrt(np.square(kick).mean(axis=0))
+    return np.concatenate((measured, measured[:, :3] / np.where(scale > 0, scale, 1)), axis=1)
+
+
+def _targets_by_mass(read: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:
+    targets, kick = wetted.WETTED.targets(read, change, weights, deviation), read[:, _N_SEEN:]
+    of_each = [-kick * np.eye(3, dtype=np.float32)[i] * (deviation[4 + i] / deviation[i]) for i in range(3)]
+    return targets._replace(shares=np.concatenate((targets.shares, *of_each), axis=1))
+
+
+register_form(
+    replace(
+        wetted.WETTED,
+        name="wetted_mass",
+        about=f"{wetted.WETTED.about} They also predict its added mass: what share of a kick by joints and motors the "
+        "fluid takes back.",
+        read=read_wetted,
+        unseen=_KICK,
+        reads_kicks=True,
+        outputs=(*wetted.WETTED.outputs, "along", "across", "omega"),
+        act=_act_by_mass,
+        measured=_measured_by_mass,
+        targets=_targets_by_mass,
+        symmetries=((*half_turn, *_KICK[:2]),),
+        mirror=(*wetted.WETTED.mirror, *_KICK[1:]),
     )
 )
