@@ -70,7 +70,12 @@ def _fill(grid: Grid, links: Links, water: Water, cover: Cover) -> None:
     """Let the surface rise, and give what links cover their velocity."""
     h, (n_columns, n_rows) = grid.spacing, water.u.shape
     for i in range(n_columns):
-        water.rise[i] += grid.time_step * cover.open_v[i, n_rows] * water.v[i, n_rows]
+        water.outflow[i] = cover.open_v[i, n_rows] * water.v[i, n_rows]
+        water.rise[i] += grid.time_step * water.outflow[i]
+        water.lift[i] = 0.0
+        for link in range(len(links.mass)):
+            up = cover.of_v[link, i, n_rows] * _velocity_v(links, links.velocity, link, (i + 0.5) * h, n_columns * h)
+            water.lift[i] += up * _velocity_u(links, links.velocity, link, 0.0)
         for j in range(n_rows + 1):
             if j < n_rows and cover.open_u[i, j] < 1.0:
                 water.u[i, j] *= cover.open_u[i, j]
@@ -120,13 +125,20 @@ class Flume:
         shape = n_columns, max(1, round(depth / spacing))
         faces = n_columns, shape[1] + 1
         self.grid = Grid(spacing, -spacing * shape[1], density, gravity, time_step)
-        self.water = Water(np.zeros(shape), np.zeros(faces), np.zeros(n_columns))
+        self.water = Water(np.zeros(shape), np.zeros(faces), *np.zeros((4, n_columns)))
         pose, velocity = np.zeros((n_links, 3)), np.zeros((n_links, 3))
         self.links = Links(length_scale, 1 / length_scale, mass, inertia, pose, velocity)
         self.cover = Cover(
             np.zeros((n_links, *shape)), np.zeros((n_links, *faces)), np.ones(shape), np.ones(faces), np.ones(n_links)
         )
-        self._order, self._number = cell_order(n_columns), np.empty(shape, np.int64)
+        self._number = np.empty(shape, np.int64)
+        self._open_water = np.zeros((n_columns * shape[1], 2 * shape[1] + 1))
+        self._project(self._open_water, is_known=False)
+
+    def _project(self, band: Float64, *, is_known: bool) -> None:
+        grid, links, water = self.grid, self.links, self.water
+        order = cell_order(len(water.rise), round(links.pose[:, 0].mean() / grid.spacing))
+        project(grid, links, water, self.cover, order, self._number, band, is_known)
 
     def step(
         self, x: Float64, y: Float64, angle: Float64, vx: Float64, vy: Float64, omega: Float64
@@ -152,7 +164,7 @@ class Flume:
         cover_faces(grid, links, cover)
         rub(grid, links, water, cover, before)
         float_links(grid, links, cover)
-        project(grid, links, water, cover, self._order, self._number)
+        self._project(self._open_water.copy(), is_known=True)
         fill(grid, links, water, cover)
         dvx, dvy, domega = (links.velocity - tentative).T
         return dvx, dvy, domega

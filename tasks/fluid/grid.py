@@ -3,6 +3,7 @@
 Harlow and Welch (1965): velocities along x are at the middle of the vertical faces of cells, those along y at the
 middle of the horizontal ones. The flume closes upon itself along x. The surface is that of linear waves (Newman 1977,
 "Marine Hydrodynamics", chapter 6): it rises and falls, and its weight presses on the plane y = 0, where the grid ends.
+The momentum of what is over that plane is stored beside the grid.
 """
 
 # mypy: warn-return-any=False
@@ -30,6 +31,9 @@ class Water(NamedTuple):
     u: Float64  # (n_columns, n_rows) velocity along x at the left faces of cells [m/s]
     v: Float64  # (n_columns, n_rows + 1) velocity along y at the lower faces of cells [m/s]
     rise: Float64  # (n_columns,) of the surface over y = 0 [m]
+    store: Float64  # (n_columns,) momentum along x of the water over y = 0 at left faces, per mass of a cell [m/s]
+    outflow: Float64  # (n_columns,) of water up through y = 0 [m/s]
+    lift: Float64  # (n_columns,) share of links in y = 0, by their velocities up and along x [m²/s²]
 
 
 class Links(NamedTuple):
@@ -53,9 +57,9 @@ class Cover(NamedTuple):
     single: Float64  # (n_links,) share of each link that is its own where links overlap
 
 
-def cell_order(n_columns: int) -> Int64:
-    """Return the columns as 0, n-1, 1, n-2, ..., so that neighbours around the flume are two places apart."""
+def cell_order(n_columns: int, last: int) -> Int64:
+    """Return columns from both sides to the last, so that neighbours around the flume are at most two places apart."""
     order = np.empty(n_columns, np.int64)
     order[0::2] = np.arange((n_columns + 1) // 2)
     order[1::2] = np.arange(n_columns - 1, (n_columns + 1) // 2 - 1, -1)
-    return order
+    return (order + last - n_columns // 2) % n_columns

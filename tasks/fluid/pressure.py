@@ -10,7 +10,8 @@ weighed by mass. With velocities u of the open parts of faces, of masses m, and 
 
     so A p = -D u* - Kᵀ V with A = D m⁻¹ Dᵀ, and (M + K A⁻¹ Kᵀ) V = M V* - K A⁻¹ D u*.
 
-K A⁻¹ Kᵀ is the added mass. Both systems are solved by elimination: A is a band, and links are few.
+K A⁻¹ Kᵀ is the added mass. Both systems are solved by elimination: A is a band, and links are few. The elimination
+begins on the other side of the flume and ends at the links, so that its first part is always that of open water.
 """
 
 # mypy: warn-return-any=False
@@ -25,16 +26,20 @@ _LEAK = 0.01  # what of a face leads from a cell that links cover out of the flu
 
 
 @inline
-def _eliminate(band: Float64, right: Float64) -> None:
-    """Eliminate what is below the diagonal of a symmetric matrix: ``band[i, k]`` is the element (i, i + k)."""
+def _eliminate(band: Float64, right: Float64, n_known: int) -> None:
+    """Eliminate what is below the diagonal of a symmetric matrix: ``band[i, k]`` is the element (i, i + k).
+
+    The first rows are known, as they are after that, and have only the first right-hand side.
+    """
     n, width = band.shape
     for i in range(n):
         for k in range(1, min(width, n - i)):
             factor = band[i, k] / band[i, 0]
             if factor != 0.0:
-                for m in range(width - k):
-                    band[i + k, m] -= factor * band[i, k + m]
-                for column in range(right.shape[1]):
+                if i + k >= n_known:
+                    for m in range(width - k):
+                        band[i + k, m] -= factor * band[i, k + m]
+                for column in range(right.shape[1] if i >= n_known else 1):
                     right[i + k, column] -= factor * right[i, column]
 
 
@@ -49,42 +54,43 @@ def _substitute(band: Float64, right: Float64) -> None:
 
 
 @inline
-def _count(cover: Cover, order: Int64, number: Int64) -> int:
-    """Count the cells that have a pressure, and write their numbers, -1 for others."""
-    n = 0
+def _count(cover: Cover, order: Int64, number: Int64) -> tuple[int, int]:
+    """Write the numbers of the cells that have a pressure, -1 for others.
+
+    Returns:
+        How many there are, and how many come before the first column of cells that links touch.
+    """
+    n, n_before, is_before = 0, 0, True
     number[:] = -1
     for i in order:
         right = (i + 1) % len(order)
+        is_before = (
+            is_before and min(cover.open_u[i].min(), cover.open_u[right].min(), cover.open_v[i, 1:].min()) == 1.0
+        )
         for j in range(number.shape[1]):
             top = cover.open_v[i, j + 1]
             if cover.open_u[i, j] + cover.open_u[right, j] + cover.open_v[i, j] + top > 0.0:
                 number[i, j] = n
                 n += 1
-    return n
+        if is_before:
+            n_before = n
+    return n, n_before
 
 
 @inline
-def _width(number: Int64) -> int:
-    """Return the width of the band."""
-    width = 1
-    n_columns, n_rows = number.shape
-    for i in range(n_columns):
-        for j in range(n_rows):
-            if number[i, j] >= 0 and number[i - 1, j] >= 0:
-                width = max(width, abs(number[i, j] - number[i - 1, j]) + 1)
-    return width
-
-
-@inline
-def _add_face(band: Float64, right: Float64, lower: int, upper: int, flow: float, area_by_mass: float) -> None:
+def _add_face(
+    band: Float64, right: Float64, n_known: int, lower: int, upper: int, flow: float, area_by_mass: float
+) -> None:
     """Add the open part of a face between two cells, -1 for the air: its flow, and its area² / mass."""
     if lower >= 0:
-        band[lower, 0] += area_by_mass
         right[lower, 0] -= flow
     if upper >= 0:
-        band[upper, 0] += area_by_mass
         right[upper, 0] += flow
-    if lower >= 0 and upper >= 0:
+    if lower >= n_known:
+        band[lower, 0] += area_by_mass
+    if upper >= n_known:
+        band[upper, 0] += area_by_mass
+    if min(lower, upper) >= n_known:
         band[min(lower, upper), abs(upper - lower)] -= area_by_mass
 
 
@@ -113,7 +119,7 @@ def wrapped(distance: float, length: float) -> float:
 
 @inline
 def _assemble(
-    grid: Grid, links: Links, water: Water, cover: Cover, number: Int64, band: Float64, right: Float64
+    grid: Grid, links: Links, water: Water, cover: Cover, number: Int64, band: Float64, right: Float64, n_known: int
 ) -> None:
     """Write A to ``band``, and -D u* and the columns of Kᵀ to ``right``; subtract the pressure of the surface from u*.
 
@@ -125,19 +131,19 @@ def _assemble(
         water.v[i, n_rows] -= grid.gravity * grid.time_step * water.rise[i] / (h / 2)
         for j in range(n_rows):
             lower, upper, opening = number[i - 1, j], number[i, j], cover.open_u[i, j]
-            _add_face(band, right, lower, upper, h * opening * water.u[i, j], opening / grid.density)
+            _add_face(band, right, n_known, lower, upper, h * opening * water.u[i, j], opening / grid.density)
             for link in range(len(links.length)):
                 if cover.of_u[link, i, j] > 0.0:
                     arm = links.pose[link, 1] - grid.floor - (j + 0.5) * h
                     _add_links(right, lower, upper, link, 0, h * cover.of_u[link, i, j], arm)
-            if upper >= 0:
+            if upper >= n_known:
                 right_u, bottom = cover.open_u[(i + 1) % n_columns, j], cover.open_v[i, j] if j else 1.0
                 open_part = (opening + right_u + bottom + cover.open_v[i, j + 1]) / 4
                 band[upper, 0] += _LEAK / grid.density * (1.0 - open_part)
         for j in range(1, n_rows + 1):
             lower, upper, opening = number[i, j - 1], number[i, j] if j < n_rows else -1, cover.open_v[i, j]
             reach = 1.0 if j < n_rows else 0.5
-            _add_face(band, right, lower, upper, h * opening * water.v[i, j], opening / (grid.density * reach))
+            _add_face(band, right, n_known, lower, upper, h * opening * water.v[i, j], opening / (grid.density * reach))
             for link in range(len(links.length)):
                 if cover.of_v[link, i, j] > 0.0:
                     arm = wrapped((i + 0.5) * h - links.pose[link, 0], n_columns * h)
@@ -145,7 +151,7 @@ def _assemble(
 
 
 @inline
-def _push_links(links: Links, band: Float64, right: Float64) -> None:
+def _push_links(links: Links, band: Float64, right: Float64, n_known: int) -> None:
     """Solve for the velocities of the links, after the elimination."""
     n = 3 * len(links.length)
     system, impulse = np.zeros((n, n)), np.zeros((n, 1))
@@ -154,14 +160,14 @@ def _push_links(links: Links, band: Float64, right: Float64) -> None:
             mass = links.inertia[link] if part == 2 else links.mass[link]
             system[3 * link + part, 0] = mass
             impulse[3 * link + part, 0] = mass * links.velocity[link, part]
-    for cell in range(len(band)):
+    for cell in range(n_known, len(band)):
         for a in range(n):
             of_a = right[cell, 1 + a] / band[cell, 0]
             if of_a != 0.0:
                 impulse[a, 0] += of_a * right[cell, 0]
                 for b in range(a, n):
                     system[a, b - a] += of_a * right[cell, 1 + b]
-    _eliminate(system, impulse)
+    _eliminate(system, impulse, 0)
     _substitute(system, impulse[:, 0])
     for link in range(len(links.length)):
         for part in range(3):
@@ -185,13 +191,29 @@ def _push_water(grid: Grid, water: Water, number: Int64, pressure: Float64) -> N
                 water.v[i, n_rows] += here * per_pressure / 0.5
 
 
-def _project(grid: Grid, links: Links, water: Water, cover: Cover, order: Int64, number: Int64) -> None:
-    """Replace tentative velocities of the fluid and the links by those without divergence."""
-    n = _count(cover, order, number)
-    band, right = np.zeros((n, _width(number))), np.zeros((n, 1 + 3 * len(links.length)))
-    _assemble(grid, links, water, cover, number, band, right)
-    _eliminate(band, right)
-    _push_links(links, band, right)
+def _project(
+    grid: Grid, links: Links, water: Water, cover: Cover, order: Int64, number: Int64, band: Float64, is_known: bool
+) -> None:
+    """Replace tentative velocities of the fluid and the links by those without divergence.
+
+    Args:
+        grid: constants.
+        links: links, whose velocities change.
+        water: fluid, whose velocities change.
+        cover: what the links cover.
+        order: columns of cells in the order of elimination, links last.
+        number: (n_columns, n_rows) place for the numbers of the cells.
+        band: (n_columns · n_rows, 2 · n_rows + 1) A after the elimination; where is_known, first of open water.
+        is_known: whether the elimination begins where links are.
+    """
+    n, n_known = _count(cover, order, number)
+    if not is_known:
+        n_known = 0
+    band, right = band[:n], np.zeros((n, 1 + 3 * len(links.length)))
+    band[n_known:] = 0.0
+    _assemble(grid, links, water, cover, number, band, right, n_known)
+    _eliminate(band, right, n_known)
+    _push_links(links, band, right, n_known)
     for link in range(len(links.length)):
         for part in range(3):
             right[:, 0] -= links.velocity[link, part] * right[:, 1 + 3 * link + part]

@@ -34,19 +34,15 @@ def _through(flow: float, a: float, b: float, c: float, d: float) -> float:
 
 @inline
 def _flows(grid: Grid, water: Water, of_u: Float64, of_v: Float64) -> float:
-    """Write what flows through the faces in a step [cells], and return the most that flows through two of a cell.
-
-    Nothing flows through the surface, which moves with the water.
-    """
+    """Write what flows through the faces in a step [cells], and return the most that flows through two of a cell."""
     of_u[:] = grid.time_step / grid.spacing * water.u
     of_v[:] = grid.time_step / grid.spacing * water.v
-    of_v[:, -1] = 0.0
     return (np.abs(of_u) + np.abs(of_v[:, :-1])).max()
 
 
 @inline
-def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: float) -> None:
-    """Carry the momentum along x, around each left face."""
+def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: float, per_velocity: float) -> None:
+    """Carry the momentum along x, around each left face; what leaves through y = 0 is stored."""
     n_columns, n_rows = old.shape
     for i in range(n_columns):
         left, right, further = i - 1, (i + 1) % n_columns, (i + 2) % n_columns
@@ -55,6 +51,9 @@ def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
             lowest, highest = max(j - 2, 0), min(j + 2, n_rows - 1)
             west, east = share * (of_u[left, j] + of_u[i, j]) / 2, share * (of_u[i, j] + of_u[right, j]) / 2
             south, north = share * (of_v[left, j] + of_v[i, j]) / 2, share * (of_v[left, j + 1] + of_v[i, j + 1]) / 2
+            if j == n_rows - 1:
+                north = share * per_velocity * (water.outflow[left] + water.outflow[i]) / 2
+                water.store[i] += north * old[i, j]
             water.u[i, j] = (
                 old[i, j]
                 + _through(west, old[i - 2, j], old[left, j], old[i, j], old[right, j])
@@ -62,11 +61,12 @@ def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
                 + _through(south, old[i, lowest], old[i, below], old[i, j], old[i, above])
                 - _through(north, old[i, below], old[i, j], old[i, above], old[i, highest])
             )
+        water.u[i, n_rows - 1] -= share * per_velocity * (water.lift[left] + water.lift[i]) / 2
 
 
 @inline
 def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: float) -> None:
-    """Carry the momentum along y, around each lower face; half a cell below the surface belongs to the last."""
+    """Carry the momentum along y, around each lower face; half a cell below y = 0 belongs to the last."""
     n_columns, n_rows = of_u.shape
     for i in range(n_columns):
         left, right, further = i - 1, (i + 1) % n_columns, (i + 2) % n_columns
@@ -76,8 +76,7 @@ def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
             if j < n_rows:
                 west, east = west + of_u[i, j], east + of_u[right, j]
             west, east = share * west / 2, share * east / 2
-            south = share * (of_v[i, j - 1] + of_v[i, j]) / 2
-            north = share * (of_v[i, j] + of_v[i, above]) / 2 if j < n_rows else 0.0
+            south, north = share * (of_v[i, j - 1] + of_v[i, j]) / 2, share * (of_v[i, j] + of_v[i, above]) / 2
             gain = (
                 _through(west, old[i - 2, j], old[left, j], old[i, j], old[right, j])
                 - _through(east, old[left, j], old[i, j], old[right, j], old[further, j])
@@ -87,13 +86,24 @@ def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
             water.v[i, j] = old[i, j] + (gain if j < n_rows else 2.0 * gain)
 
 
+@inline
+def _share_store(grid: Grid, water: Water) -> None:
+    """Let the water over y = 0 move like the water right below it; where there is none, all is given to that."""
+    for i in range(len(water.rise)):
+        cells = max((water.rise[i - 1] + water.rise[i]) / (2.0 * grid.spacing), 0.0)
+        given = (water.store[i] - cells * water.u[i, -1]) / (1.0 + cells)
+        water.u[i, -1] += given
+        water.store[i] -= given
+
+
 def _carry(grid: Grid, water: Water) -> None:
     """Carry the momentum of the water along for a step."""
     of_u, of_v = np.empty_like(water.u), np.empty_like(water.v)
     n_substeps = int(np.ceil(min(_flows(grid, water, of_u, of_v), _LARGEST) / _MOST))
     for _ in range(n_substeps):
-        _carry_u(water, water.u.copy(), of_u, of_v, 1.0 / n_substeps)
+        _carry_u(water, water.u.copy(), of_u, of_v, 1.0 / n_substeps, grid.time_step / grid.spacing)
         _carry_v(water, water.v.copy(), of_u, of_v, 1.0 / n_substeps)
+    _share_store(grid, water)
 
 
 carry = compiled(_carry, seconds=5)
