@@ -1,5 +1,6 @@
 """Evaluation of many networks by torch: on a GPU, or where there is none on the CPU."""
 
+import weakref
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,7 @@ class TorchNetworks:
         for array in arrays:  # lock them in memory, so that no copy waits
             if code := int(cudart.cudaHostRegister(array.ctypes.data, array.nbytes, 0)):
                 raise RuntimeError(f"cudaHostRegister: expected 0, got {code}")
+            weakref.finalize(self, cudart.cudaHostUnregister, array.ctypes.data)  # while it is still there
         self._stream: Any = torch.cuda.Stream()  # type: ignore[no-untyped-call]
         self._event: Any = torch.cuda.Event()  # type: ignore[no-untyped-call]
         with torch.cuda.stream(self._stream):
