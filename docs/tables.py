@@ -229,6 +229,27 @@ def curves(results: Results) -> Iterable[tuple[Any, ...]]:
 
 
 @table(
+    text("truth"),
+    metres("*E* gains"),
+    share("slush's law"),
+    share("this law and networks"),
+    share("wetted"),
+    share("struck, added mass"),
+    share("drawn slushes"),
+)
+def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate shares of what *E* gains in several truths, by what robots evolved in, of 50 throws."""
+    of_curves = {study["fluid"]: study for study in curves["studies"]}
+    for study in kicks["studies"]:
+        fluid = study["fluid"]
+        older = of_curves.get(fluid)  # with an *E* of its own
+        sides = [(older or study, f"{name}_50" if older else name) for name in ("law", "both", "wetted")]
+        sides += [(study, name) for name in ("mass", "randomised_slush")]
+        gains = [(champions_of(side, name, "gain"), champions_of(side, fluid, "gain")) for side, name in sides]
+        yield study["label"], gains[-1][1].values.mean(), *(share_of(*gain) if len(gain[0]) else None for gain in gains)
+
+
+@table(
     text("depth [m]", "{:g}"),
     text("robots of"),
     metres("1/60 s"),

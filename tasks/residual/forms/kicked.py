@@ -1,11 +1,13 @@
-"""Plain and wetted networks that see kicks: what joints, motors and contacts changed of a link's velocities.
+"""Plain networks that see kicks, what joints, motors and contacts changed of a link's velocities; and added mass.
 
 Water takes back most of a kick, because it is accelerated with the link: its added mass. Thrown bars are never kicked,
 so networks learn it from struck ones alone (the setting ``throws.design``).
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +16,9 @@ from tasks.compiled import formula
 from tasks.residual.forms import plain, wetted
 from tasks.residual.forms.form import Targets, register_form
 from tasks.simd.lanes import from_row, select
+
+if TYPE_CHECKING:
+    from tasks.residual.throws import Transitions
 
 
 @formula
@@ -39,19 +44,6 @@ register_form(
 )
 _KICK, _N_SEEN = ("kick_along", "kick_across", "kick_omega"), len(wetted.WETTED.inputs)
 (half_turn,) = wetted.WETTED.symmetries
-WETTED = register_form(
-    replace(
-        wetted.WETTED,
-        name="wetted_kicked",
-        about=f"{wetted.WETTED.about} They also see what joints and motors changed of its velocity in the last step.",
-        inputs=(*wetted.WETTED.inputs, *_KICK),
-        read=read_wetted,
-        reads_kicks=True,
-        symmetries=((*half_turn, *_KICK[:2]),),
-        mirror=(*wetted.WETTED.mirror, *_KICK[1:]),
-    )
-)
-
 
 # Networks of added mass: in a link's axes, what is under water takes back the shares c of a kick k,
 #
@@ -67,7 +59,8 @@ def _share(c: Any) -> Any:
 
 
 @formula
-def _act_by_mass(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
+def act_by_mass(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
+    """Return the changes of vx, vy and ω by outputs and what is read."""
     kick = from_row(read, _N_SEEN)
     along = outputs[0] - _share(outputs[4]) * kick[0]
     across = outputs[1] - _share(outputs[5]) * kick[1]
@@ -76,18 +69,24 @@ def _act_by_mass(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
 
 def _measured_by_mass(read: Float32, change: Float32) -> Float32:
     """Return the same as of wetted networks, and in the unit of c, changes per root mean square of a kick."""
-    measured, kick = wetted.WETTED.measured(read, change), read[:, _N_SEEN:]
+    measured, kick = wetted.WETTED.measured(read, change), read[:, _N_SEEN : _N_SEEN + 3]
     scale = np.sqrt(np.square(kick).mean(axis=0))
     return np.concatenate((measured, measured[:, :3] / np.where(scale > 0, scale, 1)), axis=1)
 
 
 def _targets_by_mass(read: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:
-    targets, kick = wetted.WETTED.targets(read, change, weights, deviation), read[:, _N_SEEN:]
+    targets, kick = wetted.WETTED.targets(read, change, weights, deviation), read[:, _N_SEEN : _N_SEEN + 3]
     of_each = [-kick * np.eye(3, dtype=np.float32)[i] * (deviation[4 + i] / deviation[i]) for i in range(3)]
     return targets._replace(shares=np.concatenate((targets.shares, *of_each), axis=1))
 
 
-register_form(
+def _unstruck(transitions: Transitions) -> str:
+    """Say that no throw shows added mass, or that there is a current."""
+    said = "no bar was struck, so networks do not learn which share of kicks the fluid takes back: use struck throws"
+    return wetted.WETTED.warning(transitions) if transitions.kick.any() else said
+
+
+WETTED_MASS = register_form(
     replace(
         wetted.WETTED,
         name="wetted_mass",
@@ -97,10 +96,11 @@ register_form(
         unseen=_KICK,
         reads_kicks=True,
         outputs=(*wetted.WETTED.outputs, "along", "across", "omega"),
-        act=_act_by_mass,
+        act=act_by_mass,
         measured=_measured_by_mass,
         targets=_targets_by_mass,
         symmetries=((*half_turn, *_KICK[:2]),),
         mirror=(*wetted.WETTED.mirror, *_KICK[1:]),
+        warning=_unstruck,
     )
 )

@@ -68,7 +68,7 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (
             ["learners.a.network.form=wet"],
             "learners.a.network.form: expected any of law, law_and_network, plain, plain_kicked, signed_angle, wetted, "
-            "wetted_kicked, wetted_mass, got 'wet'",
+            "wetted_mass, got 'wet'",
         ),
         (["network.form=law:honey"], "network.form: expected the law of a fluid with constants, any of true_slush"),
         (["learners.a.network.form=law:dry_land"], "learners.a.network.form: expected the law of a fluid"),

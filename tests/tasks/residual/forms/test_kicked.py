@@ -24,9 +24,9 @@ class HoldsBack:
         )
 
 
-@pytest.mark.parametrize(("form", "holds"), [("wetted_mass", True), ("wetted_kicked", False)])
+@pytest.mark.parametrize(("form", "holds"), [("wetted_mass", True), ("plain_kicked", False)])
 def test_added_mass_answers_kicks_of_any_size(form, holds):
-    """Of ten times the strikes that throws had; networks that see kicks as any input learn no more than their range."""
+    """Of ten times the strikes that throws had; networks that see kicks as any input do not."""
     settings = Throws(design="struck", n_throws=32, n_steps=40)
     starts = initial_states(settings, np.random.default_rng(1), Physics())
     training = Training(n_iterations=400, batch_size=256, learning_rate=0.02, decay="cosine", loss="mse")
