@@ -37,7 +37,6 @@ from pipeline.store.encoding import decode_document
 from pipeline.store.track_file import content_of, read_track_table
 from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, compare_with_simulation
 from tasks.bench.fabrication.kit_settings import FabricationSettings
-from tasks.design import N_LINKS
 from tasks.residual import arm_kind
 from tasks.simulation import simulate
 from tasks.world import Physics, ResidualSlush
@@ -65,7 +64,7 @@ def compare_run(
     if recorded is not None:
         robot = _predicted(robot, recorded)
     if run.suffix in (".csv", ".parquet", ".gz"):
-        paths, lines = _read_tracks(run), list[str]()
+        paths, lines = _read_tracks(run, robot.design.room), list[str]()
     else:
         paths, lines = _tracked(run, markers, TrackOptions(lens, slowdown, robot=True))
     try:
@@ -133,17 +132,17 @@ def _tracked(video: Path, markers: Path | None, options: TrackOptions) -> tuple[
     return {track.throw: (track.time, track.pose) for track in tracked.tracks}, lines
 
 
-def _read_tracks(path: Path) -> dict[int, LinkPath]:
+def _read_tracks(path: Path, n_links: int) -> dict[int, LinkPath]:
     rows, _ = read_track_table(content_of(path), str(path))
     table = np.column_stack((rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
         raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")
     paths: dict[int, LinkPath] = {}
-    links = {str(link): link for link in range(N_LINKS)}
+    links = {str(link): link for link in range(n_links)}
     for link in np.unique(rows.throw):
         if str(link) not in links:
             raise PuddleError(
-                f"{path}: throw {link}: expected links of a robot, 0 to {N_LINKS - 1}: track the run with --robot"
+                f"{path}: throw {link}: expected links of a robot, 0 to {n_links - 1}: track the run with --robot"
             )
         time, x, y, angle = table[rows.throw == link].T
         if (late := np.flatnonzero(np.diff(time) <= 0)).size:

@@ -22,7 +22,6 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import AnyStage, Chain, Upstream
-from tasks.design import N_LINKS
 from tasks.residual import Architecture, Training
 from tasks.world import EnvironmentName
 
@@ -186,7 +185,7 @@ def _rollout(settings: Settings, environment: EnvironmentName) -> float:
         return n_steps * n_members * (_SECONDS_PER_STEP[engine] + in_numpy)
     physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
     flops = learner.network.flops
-    return n_steps * n_members * (physics + N_LINKS * flops / _FLOPS_OF_INFERENCE)
+    return n_steps * n_members * (physics + settings.design.n_links.most * flops / _FLOPS_OF_INFERENCE)
 
 
 def _flops_of_iteration(network: Architecture, training: Training) -> float:

@@ -52,6 +52,12 @@ def check(settings: Settings) -> None:
                 f"{group} is given, but neither target nor grid.environments has {name}, whose medium it is: "
                 f"expected one of them to have it, got target {settings.target}"
             )
+    n_motors, limits = settings.evolution.morphology.n_actuated, settings.design.n_links
+    if (n_motors or 0) >= limits.least:
+        raise ValueError(
+            f"evolution.morphology.n_actuated is {n_motors}, but design.n_links.least is {limits.least}, links of "
+            f"{limits.least - 1} joints: expected at most as many motors as joints"
+        )
     _check_objective(settings)
     _check_learners(settings)
     controller, morphology = CONTROLLERS[settings.evolution.controller], settings.evolution.morphology

@@ -13,7 +13,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 from pipeline.config.agreement import check
 from tasks.analysis.tank import Tank
 from tasks.bench.tracks.conventions import Tracks
-from tasks.design import CONTROLLERS, OPEN_LOOP, Morphology
+from tasks.design import CONTROLLERS, OPEN_LOOP, LinkLimits, Morphology, MorphologyRules
 from tasks.evolution import (
     OBJECTIVES,
     PAPERS_OBJECTIVE,
@@ -81,6 +81,13 @@ class GridSettings(Parameters):
         return self
 
 
+class DesignSettings(Parameters):
+    """What a design is made of."""
+
+    n_links: LinkLimits = LinkLimits()
+    """Numbers of links that designs may have."""
+
+
 class RolloutSettings(Parameters):
     """Duration of a simulation."""
 
@@ -117,7 +124,7 @@ class EvolutionSettings(Parameters):
     adds a rollout of every design."""
     afpo: Afpo = Afpo()
     """The algorithm."""
-    morphology: Morphology = Morphology()
+    morphology: MorphologyRules = MorphologyRules()
     """Constraints on bodies and motors."""
     controller: str = OPEN_LOOP
     """What turns the joints: open_loop, the paper's oscillators, or another registered controller. [P]: open_loop."""
@@ -234,6 +241,8 @@ class Settings(Parameters):
     """The trials."""
     rollout: RolloutSettings = RolloutSettings()
     """Duration of a simulation."""
+    design: DesignSettings = DesignSettings()
+    """Designs."""
     evolution: EvolutionSettings = EvolutionSettings()
     """Evolution of designs."""
     transfer: TransferSettings = TransferSettings()
@@ -266,6 +275,11 @@ class Settings(Parameters):
         if not isinstance(self, RecordedSettings):  # whose groups agreed when they were recorded
             check(self)
         return self
+
+    @property
+    def morphology(self) -> Morphology:
+        """All constraints on designs."""
+        return Morphology(**dict(self.evolution.morphology), n_links=self.design.n_links)
 
     @property
     def objective_depths(self) -> tuple[float, ...]:

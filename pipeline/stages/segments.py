@@ -75,7 +75,7 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         environments.simulation_spec(settings, environment),
         settings.evolution.search,
         settings.evolution.optimiser,
-        settings.evolution.morphology,
+        settings.morphology,
         settings.evolution.controller,
         environments.fitness_spec(settings, environment),
     )
@@ -179,7 +179,7 @@ def population_of(files: Files) -> Population:
 
 def champion_of(population: Population) -> Designs | None:
     """Return the fittest design, or None if all diverged."""
-    return population.designs[population.champion()] if len(population.designs) else None
+    return population.designs[population.champion()].compact() if len(population.designs) else None
 
 
 DRAWN, REJECTED = "n_drawn_", "n_rejected_"

@@ -23,7 +23,7 @@ _DESIGN_JSON = "design_json"  # column of the table of champions
 
 def design_json(design: Designs) -> bytes:
     """Return the design file of one design."""
-    fields = {name: array[0].tolist() for name, array in design.arrays()}
+    fields = {name: array[0].tolist() for name, array in design.compact().arrays()}
     return encode_document(fields, schema=DESIGN_SCHEMA, version=DESIGN_VERSION)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.compiled import compiled
-from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, Designs, DesignTable
+from tasks.design.genes import FIRST, N_PER_LINK, Designs, DesignTable, count_links
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,27 +33,27 @@ class KinematicTrees:
     angle: Float32  # angle at the spawn [rad]; the root is upright, at 0
 
 
-_LENGTH, _PARENT_ATTACHMENT, _CHILD_ATTACHMENT, _JOINT_ANGLE = (
-    COLUMNS[name].start for name in ("length_scale", "parent_attachment", "child_attachment", "rest_angle")
+_LENGTH, _PARENT, _PARENT_ATTACHMENT, _CHILD_ATTACHMENT, _JOINT_ANGLE = (
+    FIRST[name] for name in ("length_scale", "parent", "parent_attachment", "child_attachment", "rest_angle")
 )
-"""Columns of the root's genes in a table of designs, followed by those of the other links."""
 
 _X, _Y, _ANGLE, _SINE, _COSINE, _PARENT_ANCHOR, _CHILD_ANCHOR = range(7)
 """Quantities of :func:`hang_links`: centre [m], angle [rad], its sine and cosine; distance of the joint from the
 centres of parent and link [m], 0 for the root."""
 
 
-def hang_links(table: DesignTable) -> Float64:
-    """Return (n_designs, 7, n_links) quantities listed above, the root upright at the origin."""
-    rest = np.zeros((len(table), 7, N_LINKS))
+def hang_links(table: DesignTable, n_of_link: int) -> Float64:
+    """Return (n_designs, 7, n_links) quantities listed above, the root upright at the origin; 0 where a link lacks."""
+    room = table.shape[1] // n_of_link
+    rest = np.zeros((len(table), 7, room))
     for design in range(len(table)):
-        genes_of, links = table[design], rest[design]
+        genes_of, links = table[design, : N_PER_LINK * room].reshape(N_PER_LINK, room), rest[design]
         links[_COSINE, 0] = 1.0
-        for link in range(1, N_LINKS):
-            above = int(genes_of[PARENT_COLUMN + link])
-            along_parent = genes_of[_PARENT_ATTACHMENT + link] * genes_of[_LENGTH + above] / 2
-            along_child = genes_of[_CHILD_ATTACHMENT + link] * genes_of[_LENGTH + link] / 2
-            turned = links[_ANGLE, above] + genes_of[_JOINT_ANGLE + link]
+        for link in range(1, count_links(genes_of[_PARENT])):
+            above = int(genes_of[_PARENT, link])
+            along_parent = genes_of[_PARENT_ATTACHMENT, link] * genes_of[_LENGTH, above] / 2
+            along_child = genes_of[_CHILD_ATTACHMENT, link] * genes_of[_LENGTH, link] / 2
+            turned = links[_ANGLE, above] + genes_of[_JOINT_ANGLE, link]
             sine, cosine = np.sin(turned), np.cos(turned)
             links[_X, link] = links[_X, above] - links[_SINE, above] * along_parent + sine * along_child
             links[_Y, link] = links[_Y, above] + links[_COSINE, above] * along_parent - cosine * along_child
@@ -71,21 +71,23 @@ def rest_pose(designs: Designs) -> tuple[Float64, Float64, Float64]:
     Returns:
         x [m], y [m] and angle [rad] of every link, each (n_designs, n_links). Angles add up along the tree, unwrapped.
     """
-    rest = _hang_links(designs.table)
+    rest = _hang_links(designs.table, designs.table.shape[1] // designs.room)
     return rest[:, _X], rest[:, _Y], rest[:, _ANGLE]
 
 
-def spawn_links(table: DesignTable, density: float) -> Float32:
+def spawn_links(table: DesignTable, n_of_link: int, density: float) -> Float32:
     """Return (9, n_designs, n_links) fields of KinematicTrees after ``parent``, in their order; density in [kg/m²]."""
-    rest, single = _hang_links(table), np.empty((9, len(table), N_LINKS), np.float32)
+    rest = _hang_links(table, n_of_link)
+    room = rest.shape[2]
+    single = np.zeros((9, len(table), room), np.float32)
     for design in range(len(table)):
-        lowest = np.inf
-        for link in range(N_LINKS):
+        lowest, n_links = np.inf, count_links(table[design, _PARENT * room : (_PARENT + 1) * room])
+        for link in range(n_links):
             along, width = table[design, _LENGTH + link], 1.0 / table[design, _LENGTH + link]
             of_length = abs(rest[design, _COSINE, link]) * along / 2
             of_width = abs(rest[design, _SINE, link]) * width / 2
             lowest = min(lowest, rest[design, _Y, link] - of_length - of_width)
-        for link in range(N_LINKS):
+        for link in range(n_links):
             along, width = table[design, _LENGTH + link], 1.0 / table[design, _LENGTH + link]
             mass = density * width * along
             single[0, design, link], single[1, design, link] = width / 2, along / 2
@@ -104,7 +106,7 @@ spawn_kernel = compiled(spawn_links, seconds=1)
 
 def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
     """Return the bodies of valid designs as they are spawned, the root at x = 0; density in [kg/m²]."""
-    return KinematicTrees(designs.parent, *spawn_kernel(designs.table, density))
+    return KinematicTrees(designs.parent, *spawn_kernel(designs.table, designs.table.shape[1] // designs.room, density))
 
 
 PassiveJoints = Literal["swing", "locked"]  # behaviour of a joint whose motor is off
@@ -134,17 +136,17 @@ class RigidBodies:
     @property
     def is_first(self) -> Bools:
         """(n_designs, n_links) whether a link is its body's first: the root, or the child of a joint that moves."""
-        return np.asarray(self.first_link == np.arange(N_LINKS))
+        return np.asarray(self.first_link == np.arange(self.first_link.shape[1]))
 
 
 def rigid_bodies(designs: Designs, *, passive_joints: PassiveJoints) -> RigidBodies:
     """Fuse the links of valid designs that locked joints connect."""
-    n_designs, design = len(designs), np.arange(len(designs))
-    rest = _hang_links(designs.table)
+    (n_designs, n_links), design = designs.parent.shape, np.arange(len(designs))
+    rest = _hang_links(designs.table, designs.table.shape[1] // designs.room)
     parent_anchor, child_anchor = rest[:, _PARENT_ANCHOR], rest[:, _CHILD_ANCHOR]
-    first_link = np.tile(np.arange(N_LINKS), (n_designs, 1))
-    x, y, angle, joint_x, joint_y = (np.zeros((n_designs, N_LINKS)) for _ in range(5))
-    for link in range(1, N_LINKS):
+    first_link = np.tile(np.arange(n_links), (n_designs, 1))
+    x, y, angle, joint_x, joint_y = (np.zeros((n_designs, n_links)) for _ in range(5))
+    for link in range(1, n_links):
         parent, along = designs.parent[:, link], parent_anchor[:, link]
         above = angle[design, parent]
         joint_x[:, link] = x[design, parent] - np.sin(above) * along
@@ -159,8 +161,8 @@ def rigid_bodies(designs: Designs, *, passive_joints: PassiveJoints) -> RigidBod
 
     def over_body(quantity: Float64) -> Float64:
         """Sum over the links of each body; return the body's sum for each link."""
-        total = np.zeros((n_designs, N_LINKS))
-        for link in range(N_LINKS):
+        total = np.zeros((n_designs, n_links))
+        for link in range(n_links):
             total[design, first_link[:, link]] += quantity[:, link]
         return np.take_along_axis(total, first_link, axis=1)
 

@@ -1,12 +1,14 @@
 """Genes: their bounds and units, and designs as arrays of them. Paper, "Evolutionary Design".
 
-A design is a kinematic tree of six rectangular links in topological order (parent < child), one frequency, and one
-motor per joint. Link 0 is the root. Joint i connects link i to its parent, so the root has no joint: its joint genes
-are ignored, and always zero, so that equal designs have equal arrays.
+A design is a kinematic tree of 2 to 12 rectangular links in topological order (parent < child), one frequency, and one
+motor per joint; the paper's have six links. Link 0 is the root. Joint i connects link i to its parent, so the root has
+no joint: its joint genes are ignored, and always zero, so that equal designs have equal arrays. Arrays have room for
+the largest design: links that another lacks come last, have the parent -1, and zero for every gene.
 """
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache, cached_property
@@ -16,14 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tasks.arrays import ArrayData, Bools, Float64, Int64
-from tasks.compiled import compiled
+from tasks.compiled import compiled, inline
 from tasks.design.controllers import OPEN_LOOP, controller_named
 from tasks.design.gene import GENES, PER_DESIGN, DesignError, Gene
 
-N_LINKS = 6  # links of a design, including the root; tasks/simulation/trees/step.py lists its joints
-N_JOINTS = N_LINKS - 1
+N_LINKS = 6  # links of the paper's designs, including the root
+LEAST_LINKS, MOST_LINKS = 2, 12
 
-ROOT_PARENT = -1  # parent of the root
+NO_LINK = -1  # parent of the root, and of a link that a design lacks
 
 DesignTable = Float64  # (n_designs, n_columns) table of designs, which variation and selection operate on
 
@@ -49,7 +51,7 @@ class Designs(ArrayData):
     motor_on: Bools  # whether the joint's motor is on; otherwise the joint is passive
     frequency: Float64  # (n_designs,) frequency of all joints' oscillations [Hz]
     controller: str = OPEN_LOOP  # name of the controller
-    gains: Float64 = field(default_factory=lambda: np.zeros((0, 0, N_LINKS)))
+    gains: Float64 = field(default_factory=lambda: np.zeros((0, 0, 0)))
     """(n_designs, n_gains, n_links) the controller's own genes; 0 if not given."""
 
     def __post_init__(self) -> None:
@@ -57,16 +59,19 @@ class Designs(ArrayData):
             array = getattr(self, name)
             if type(array) is not np.ndarray or array.dtype != dtype:
                 object.__setattr__(self, name, _converted(name, array, dtype))
+        widths = [np.atleast_2d(getattr(self, name)).shape[1] for name in DTYPES if name not in PER_DESIGN]
+        room = min(max(statistics.mode(widths), LEAST_LINKS), MOST_LINKS)
         n_designs = self.frequency.size
-        shapes = (n_designs, N_LINKS), (n_designs,)
+        shapes = (n_designs, room), (n_designs,)
         for name in ("frequency", *DTYPES):  # frequency first: it defines n_designs
             shape = getattr(self, name).shape
             if shape != shapes[name in PER_DESIGN]:
                 raise DesignError(
-                    f"designs: {name} has shape {shape}, expected (n_designs, {N_LINKS}) "
-                    f"and {', '.join(PER_DESIGN)} (n_designs,), with the same n_designs throughout"
+                    f"designs: {name} has shape {shape}, expected (n_designs, {room}) "
+                    f"and {', '.join(PER_DESIGN)} (n_designs,), with the same n_designs throughout, "
+                    f"and room for {LEAST_LINKS} to {MOST_LINKS} links"
                 )
-        expected = n_designs, len(controller_named(self.controller).genes), N_LINKS
+        expected = n_designs, len(controller_named(self.controller).genes), room
         gains = _converted("gains", self.gains, np.float64) if np.size(self.gains) else np.zeros(expected)
         if gains.shape != expected:
             raise DesignError(f"designs: gains of {self.controller} have shape {gains.shape}, expected {expected}")
@@ -75,16 +80,52 @@ class Designs(ArrayData):
     def __len__(self) -> int:
         return int(self.frequency.shape[0])
 
+    @property
+    def room(self) -> int:
+        """Links that the arrays have room for."""
+        return int(self.parent.shape[1])
+
+    @property
+    def n_links(self) -> Int64:
+        """(n_designs,) number of links of each design."""
+        return np.asarray(1 + (self.parent >= 0).sum(axis=1))
+
+    def with_room(self, room: int) -> Designs:
+        """Return the designs with room for a number of links, which none exceeds."""
+        kept, added = min(room, self.room), max(room - self.room, 0)
+        if not added and kept == self.room:
+            return self
+        stored: dict[str, Any] = {}
+        for name, array in self._stored():
+            beyond = ((0, 0),) * (array.ndim - 1) + ((0, added),)
+            fill = NO_LINK if name == "parent" else 0
+            stored[name] = array if name in PER_DESIGN else np.pad(array[..., :kept], beyond, constant_values=fill)
+        return self._of(stored)
+
+    def by_number_of_links(self) -> list[tuple[Int64, Designs]]:
+        """Split into designs with equally many links, and just the room for them; with the indices of each."""
+        n_links = self.n_links
+        if (n_links == self.room).all():
+            return [(np.arange(len(self)), self)]
+        groups = [(np.flatnonzero(n_links == number), int(number)) for number in np.unique(n_links)]
+        return [
+            (which, (self if len(which) == len(self) else self[which]).with_room(number)) for which, number in groups
+        ]
+
     def __repr__(self) -> str:
         return super().__repr__() + (f" of controller {self.controller}" if self.controller != OPEN_LOOP else "")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Designs) or self.controller != other.controller:
             return False
-        return np.array_equal(self.table, other.table)
+        return np.array_equal(self.compact().table, other.compact().table)
 
     def __hash__(self) -> int:
-        return hash((self.table + 0.0).tobytes())  # -0.0 and 0.0 are equal
+        return hash((self.compact().table + 0.0).tobytes())  # -0.0 and 0.0 are equal
+
+    def compact(self) -> Designs:
+        """Return the designs with no more room than the largest needs."""
+        return self.with_room(int(self.n_links.max(initial=LEAST_LINKS)))
 
     def __getitem__(self, index: npt.ArrayLike | slice) -> Designs:
         """Select designs by a slice, indices or a mask; a single index selects one design."""
@@ -143,10 +184,12 @@ class Designs(ArrayData):
         Raises:
             DesignError: the table is not (n_designs, n_columns) of float64.
         """
-        n_columns = N_COLUMNS + N_LINKS * len(controller_named(controller).genes)
-        if table.shape[1:] != (n_columns,) or table.dtype != np.float64:
+        of_link = N_PER_LINK + len(controller_named(controller).genes)
+        room, left = divmod(table.shape[-1] - len(PER_DESIGN), of_link)
+        if table.ndim != 2 or left or not LEAST_LINKS <= room <= MOST_LINKS or table.dtype != np.float64:
             raise DesignError(
-                f"designs: expected a table (n_designs, {n_columns}) float64, got {table.shape} {table.dtype}"
+                f"designs: expected a table (n_designs, n_links · {of_link} + {len(PER_DESIGN)}) float64, of "
+                f"{LEAST_LINKS} to {MOST_LINKS} links, got {table.shape} {table.dtype}"
             )
         view = table.view()
         view.flags.writeable = False
@@ -158,13 +201,14 @@ class Designs(ArrayData):
 
         def __getattr__(self, name: str) -> npt.NDArray[Any]:
             """Read a field from the table when first used: evolution makes many designs and uses few fields."""
-            if (name not in COLUMNS and name != "gains") or "table" not in self.__dict__:
+            if (name not in DTYPES and name != "gains") or "table" not in self.__dict__:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            n_gains = len(controller_named(self.controller).genes)
+            room = self.table.shape[1] // (N_PER_LINK + n_gains)
             if name == "gains":
-                of_design = self.table.shape[1] // N_LINKS - N_COLUMNS // N_LINKS, N_LINKS
-                array = self.table[:, N_COLUMNS:].reshape(len(self.table), *of_design)
+                array = self.table[:, room * N_PER_LINK + len(PER_DESIGN) :].reshape(len(self.table), n_gains, room)
             else:
-                columns = COLUMNS[name]
+                columns = columns_of(room)[name]
                 array = self.table[:, columns.start if name in PER_DESIGN else columns]
             if DTYPES.get(name, np.float64) is not np.float64:
                 array = array.astype(DTYPES[name])
@@ -178,7 +222,9 @@ class Designs(ArrayData):
 
     def to_vector(self) -> Float64:
         """Return (n_designs, n_reals) numbers in [0, 1], for optimisers of real vectors; see :meth:`from_vector`."""
-        of = table_of(self.controller)
+        if (self.n_links < self.room).any():
+            raise DesignError(f"designs: links are {set(self.n_links.tolist())}, expected equally many of all designs")
+        of = table_of(self.controller, self.room)
         low, is_parent = of.columns.low[of.reals], of.columns.is_parent[of.reals]
         shown: Float64 = (self.table[:, of.reals] + is_parent / 2 - low) / of.real_span
         return shown
@@ -191,16 +237,19 @@ class Designs(ArrayData):
         link ⌊i u⌋, with u the number. The order is that of the table, link by link, without what a root ignores.
 
         Args:
-            vector: (n_designs, n_reals), or (n_reals,) of one design; 41 with the paper's controller.
+            vector: (n_designs, n_reals), or (n_reals,) of one design; 41 of six links with the paper's controller.
             controller: of the designs.
 
         Raises:
             DesignError: the shape is another one, or a number is not in [0, 1].
         """
-        of = table_of(controller)
-        reals, given = of.reals, np.atleast_2d(np.asarray(vector, dtype=np.float64))
-        if given.ndim != 2 or given.shape[1] != len(reals):
-            raise DesignError(f"vector: expected shape (n_designs, {len(reals)}), got {np.shape(vector)}")
+        given = np.atleast_2d(np.asarray(vector, dtype=np.float64))
+        tables = {len(of.reals): of for of in (table_of(controller, n) for n in range(LEAST_LINKS, MOST_LINKS + 1))}
+        if given.ndim != 2 or given.shape[1] not in tables:
+            expected = " or ".join(map(str, tables))
+            raise DesignError(f"vector: expected shape (n_designs, {expected}), got {np.shape(vector)}")
+        of = tables[given.shape[1]]
+        reals = of.reals
         if (outside := np.argwhere(~((given >= 0) & (given <= 1)))).size:
             design, place = outside[0]
             gene, link = of.gene_of_column[reals[place]], of.columns.link[reals[place]]
@@ -212,22 +261,27 @@ class Designs(ArrayData):
         numbers[:, is_parent] = np.floor(numbers[:, is_parent])
         numbers[:, is_flag] = given[:, is_flag] >= 0.5
         table = np.zeros((len(given), len(of.gene_of_column)))
-        table[:, PARENT_COLUMN] = ROOT_PARENT
+        table[:, of.columns.parent] = NO_LINK
         table[:, reals] = numbers
         return Designs.from_table(table, controller)
 
     @staticmethod
     def concatenate(several: Sequence[Designs]) -> Designs:
-        """Join designs, at least one of them, in the given order; raise DesignError if their controllers differ."""
+        """Join designs, at least one of them, in the given order, with room for the largest.
+
+        Raises:
+            DesignError: their controllers differ.
+        """
         (controller, *others) = sorted({part.controller for part in several})
         if others:
             raise DesignError(f"designs: controllers {', '.join((controller, *others))}, expected one of all designs")
-        return Designs.from_table(np.concatenate([part.table for part in several]), controller)
+        room = max(part.room for part in several)
+        return Designs.from_table(np.concatenate([part.with_room(room).table for part in several]), controller)
 
     def _repr_html_(self) -> str | None:
         from tasks.design.drawing import drawn  # it builds on bodies, which build on designs
 
-        return None if _find_fault(self.table, table_of(self.controller).columns)[0] >= 0 else drawn(self)
+        return None if _find_fault(self.table, table_of(self.controller, self.room).columns)[0] >= 0 else drawn(self)
 
 
 DTYPES: dict[str, type[np.generic]] = {
@@ -238,10 +292,16 @@ DTYPES: dict[str, type[np.generic]] = {
 """Dtype of each field of Designs that is a gene, in the order of declaration."""
 
 
-_ENDS = np.cumsum([1 if name in PER_DESIGN else N_LINKS for name in DTYPES]).tolist()
-COLUMNS = dict(zip(DTYPES, map(slice, [0, *_ENDS], _ENDS), strict=True))  # columns of each field, link by link
-N_COLUMNS = _ENDS[-1]  # columns of the fields: 49, including the ignored genes of roots; those of the gains follow
-PARENT_COLUMN = COLUMNS["parent"].start  # column of the root's parent, followed by those of the other links
+N_PER_LINK = len(DTYPES) - len(PER_DESIGN)  # columns of each link, but its gains
+FIRST = {name: number for number, name in enumerate(DTYPES)}
+"""First column of each field, over the number of links that a table has room for: fields of the design come last."""
+
+
+@cache
+def columns_of(room: int) -> dict[str, slice]:
+    """Return the columns of each field in a table with room for a number of links; those of the gains follow."""
+    ends = np.cumsum([1 if name in PER_DESIGN else room for name in DTYPES]).tolist()
+    return dict(zip(DTYPES, map(slice, [0, *ends], ends), strict=True))
 
 
 def _converted(name: str, values: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:
@@ -263,9 +323,11 @@ class GeneColumns(NamedTuple):
     is_angle: Bools
     is_gain: Bools
     is_ignored: Bools  # genes of the root's joint
-    link: Int64  # link of each column; N_LINKS for columns of the whole design
+    link: Int64  # link of each column; -1 for columns of the whole design
     first: Int64  # (n_genes,) column of each gene's first number, including the root's
     end: Int64  # (n_genes,) column after each gene's last number
+    room: int  # links that the table has room for
+    parent: int  # column of the root's parent, followed by those of the other links
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,18 +342,20 @@ class GeneTable:
     real_span: Float64  # (n_reals,) range of each; link i has i possible parents
 
 
-def table_of(controller: str) -> GeneTable:
-    """Return the table of genes of designs with a controller."""
-    return _table(controller_named(controller).genes)
+def table_of(controller: str, room: int = N_LINKS) -> GeneTable:
+    """Return the table of genes of designs with a controller, and room for a number of links."""
+    return _table(controller_named(controller).genes, room)
 
 
 @cache
-def _table(gains: tuple[Gene, ...]) -> GeneTable:
+def _table(gains: tuple[Gene, ...], room: int) -> GeneTable:
     genes = {gene.name: gene for gene in (*GENES, *gains)}
-    starts = {gain.name: slice(N_COLUMNS + N_LINKS * k, N_COLUMNS + N_LINKS * (k + 1)) for k, gain in enumerate(gains)}
-    slices = COLUMNS | starts
+    slices = dict(columns_of(room))
+    for gain in gains:
+        end = max(columns.stop for columns in slices.values())
+        slices[gain.name] = slice(end, end + room)
     gene_of = [genes.get(name) for name, columns in slices.items() for _ in range(columns.start, columns.stop)]
-    link_of = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in slices])
+    link_of = np.concatenate([[-1] if name in PER_DESIGN else np.arange(room) for name in slices])
     is_parent = np.array([gene is None for gene in gene_of])
     is_flag, is_angle, is_gain = (
         np.array([gene is not None and gene.kind == kind for gene in gene_of]) for kind in ("flag", "angle", "gain")
@@ -307,6 +371,8 @@ def _table(gains: tuple[Gene, ...]) -> GeneTable:
         link=link_of,
         first=np.array([slices[name].start for name in genes]),
         end=np.array([slices[name].stop for name in genes]),
+        room=room,
+        parent=slices["parent"].start,
     )
     reals = np.flatnonzero(~columns.is_ignored & (columns.low < columns.high))
     return GeneTable(
@@ -322,12 +388,28 @@ def _table(gains: tuple[Gene, ...]) -> GeneTable:
 N_GENES = table_of(OPEN_LOOP).n_genes  # 37
 
 
+@inline
+def count_links(parent: Float64) -> int:
+    """Count the links of a design by their parents."""
+    n_links = 1
+    for link in range(1, len(parent)):
+        n_links += parent[link] >= 0.0
+    return n_links
+
+
 def find_fault(table: DesignTable, of: GeneColumns) -> tuple[int, int]:
     """Return row and column of the first invalid number; -1 and -1 if there is none."""
     for design in range(len(table)):
+        n_links = LEAST_LINKS
+        for link in range(LEAST_LINKS, of.room):
+            if not table[design, of.parent + link] < 0.0:
+                n_links = link + 1
         for column in range(table.shape[1]):
             value, whole = table[design, column], of.is_parent[column] or of.is_flag[column]
-            if not of.is_ignored[column] and (
+            if of.link[column] >= n_links:
+                if value != (NO_LINK if of.is_parent[column] else 0.0):
+                    return design, column
+            elif not of.is_ignored[column] and (
                 not of.low[column] <= value <= of.high[column] or (whole and value != np.floor(value))  # NaN too
             ):
                 return design, column
@@ -343,11 +425,15 @@ def check(designs: Designs) -> None:
     Raises:
         DesignError: names the first invalid number by the design's index, gene and link.
     """
-    of = table_of(designs.controller)
+    of = table_of(designs.controller, designs.room)
     design, column = _find_fault(designs.table, of.columns)
     if design < 0:
         return
     value, link, gene = designs.table[design, column], of.columns.link[column], of.gene_of_column[column]
+    n_links = max(LEAST_LINKS, int(np.flatnonzero(designs.parent[design] >= 0).max(initial=0)) + 1)
+    if link >= n_links:
+        lacks, name = f"{NO_LINK if gene is None else 0}: it has {n_links} links", gene.name if gene else "parent"
+        raise DesignError(f"design {design}: {name} of link {link} is {value:g}, expected {lacks}")
     if gene is None:
         expected = "-1 (it is the root)" if link == 0 else f"a link before it, 0 to {link - 1}"
         raise DesignError(f"design {design}: parent of link {link} is {value:g}, expected {expected}")

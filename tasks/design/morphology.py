@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float64, Int64
 from tasks.design.body import rest_pose
 from tasks.design.controllers import OPEN_LOOP
 from tasks.design.gait import swing, top_speed
 from tasks.design.gene import DesignError
-from tasks.design.genes import N_LINKS, Designs, DesignTable
+from tasks.design.genes import LEAST_LINKS, MOST_LINKS, N_LINKS, Designs, DesignTable
 from tasks.parameters import Parameters
 
 _TOLERANCE = 1e-9  # overlap that counts as touching [m]: the rounding of positions within some metres
@@ -29,10 +29,25 @@ N_INSTANTS = 24  # of a gait's period in which links must be apart
 MAX_BATCH = 4096  # most samples that are drawn together; more overflow the cache
 
 
-class Morphology(Parameters):
-    """Constraints on every design of a trial; none by default."""
+class LinkLimits(Parameters):
+    """Numbers of links that a design may have; six by default."""
 
-    n_actuated: int | None = Field(default=None, ge=0, le=N_LINKS - 1)
+    least: int = Field(default=N_LINKS, ge=LEAST_LINKS, le=MOST_LINKS)
+    """Fewest links, the root among them. [P]"""
+    most: int = Field(default=N_LINKS, ge=LEAST_LINKS, le=MOST_LINKS)
+    """Most links. Where it exceeds ``least``, mutants may gain or lose a leaf of their tree. [P]"""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.least > self.most:
+            raise ValueError(f"least is {self.least} and most is {self.most}: expected at most as many at least")
+        return self
+
+
+class MorphologyRules(Parameters):
+    """Constraints on bodies and motors; none by default."""
+
+    n_actuated: int | None = Field(default=None, ge=0, le=MOST_LINKS - 1)
     """Number of joints whose motor is on; which joints is then part of the body, not of the controller. null: each
     motor is on or off, as part of the controller. [P]: 2 in the robot that was built."""
     unjoined_links: Literal["may_overlap", "apart", "apart_in_gait"] = "may_overlap"
@@ -56,7 +71,7 @@ class Morphology(Parameters):
         return self if self.constrains_gaits else type(self)()
 
     def allows(self, designs: Designs) -> Bools:
-        """Find the designs that meet all constraints but the number of motors, (n_designs,)."""
+        """Find the designs that meet all constraints but the numbers of motors and links, (n_designs,)."""
         allowed = np.ones(len(designs), dtype=bool)
         if self.max_joint_speed is not None:
             allowed &= np.where(designs.motor_on, top_speed(designs), 0.0).max(axis=1) <= self.max_joint_speed
@@ -65,6 +80,22 @@ class Morphology(Parameters):
         if self.unjoined_links == "apart_in_gait":
             allowed[allowed] = apart_in_gait(designs[allowed])
         return allowed
+
+
+class Morphology(MorphologyRules):
+    """Constraints on every design of a trial; six links each are all by default."""
+
+    n_links: LinkLimits = LinkLimits()
+    """Limits of the number of links."""
+
+    @model_validator(mode="after")
+    def _has_enough_joints(self) -> Self:
+        if (self.n_actuated or 0) >= self.n_links.least:
+            raise ValueError(
+                f"n_actuated is {self.n_actuated}, but n_links.least is {self.n_links.least}, links of "
+                f"{self.n_links.least - 1} joints: expected at most as many motors as joints"
+            )
+        return self
 
 
 ANY_BODY = Morphology()  # no constraints
@@ -90,12 +121,19 @@ def links_apart(designs: Designs) -> Bools:
     Links that touch do not overlap. By the separating axis theorem, two rectangles are apart if a gap separates them
     along an edge of either.
     """
+    apart = np.zeros(len(designs), dtype=bool)
+    for which, alike in designs.by_number_of_links():
+        apart[which] = _links_apart(alike)
+    return apart
+
+
+def _links_apart(designs: Designs) -> Bools:
     x, y, angle = rest_pose(designs)
     half_height, half_width = designs.length_scale / 2, 0.5 / designs.length_scale
     links = np.stack([x, y, np.cos(angle), np.sin(angle), half_width, half_height], axis=1)
     parent = designs.parent
     left = np.arange(len(designs))
-    for link in range(2, N_LINKS):  # a joint connects the root and link 1
+    for link in range(2, designs.room):  # a joint connects the root and link 1
         for other in range(link):
             separate = separation(links[:, :, other], links[:, :, link]) >= -_TOLERANCE
             passes = separate | (parent[:, link] == other)

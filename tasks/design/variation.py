@@ -20,8 +20,8 @@ from tasks.compiled import compiled
 from tasks.design import variation_kernels
 from tasks.design.controllers import OPEN_LOOP
 from tasks.design.gene import GENES, DesignError, Gene, GenePart
-from tasks.design.genes import N_GENES, Designs, DesignTable, GeneTable, table_of
-from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, sample_allowed
+from tasks.design.genes import LEAST_LINKS, N_GENES, Designs, DesignTable, table_of
+from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, LinkLimits, Morphology, sample_allowed
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Variation
 from tasks.parameters import Parameters
 
@@ -30,11 +30,14 @@ class Mutation(Parameters):
     """Rates and step size of mutation."""
 
     genes_changed: float = Field(default=3.0, ge=0.0, le=N_GENES)
-    """Mean number of changed genes, of all numbers that describe a design: 37 with the paper's controller."""
+    """Mean number of changed genes, of all numbers that describe a design: 37 of six links with the paper's
+    controller."""
     step: float = Field(default=0.1, ge=1e-6, le=1.0)
     """Standard deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability that one link of a mutant gets another parent."""
+    resizing: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Probability that a mutant gains a random leaf or, equally likely, loses one, where design.n_links allows it."""
 
 
 _MUTATION = Mutation()
@@ -53,30 +56,48 @@ def variation_of(
     parts: tuple[GenePart, ...] = ("body", "control"),
     body: Designs | None = None,
     controller: str = OPEN_LOOP,
+    room: int | None = None,
 ) -> Variation:
     """Return the argument of the kernels that describes variation of designs with a controller.
 
     Mutation may change some parts; ("control",) preserves bodies. All random designs get the body of one, if given.
+    Tables have room for as many links as that body, or the given number, which is the most of the morphology otherwise.
     """
-    variation = _variation(morphology.n_actuated, mutation, parts, table_of(controller))
+    limits = morphology.n_links
+    room = body.room if body else room or limits.most
+    variation = _variation(morphology.n_actuated, limits, mutation, parts, controller, room)
     return variation if body is None else variation._replace(body=body.table)
 
 
 @cache
-def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart, ...], of: GeneTable) -> Variation:
+def _variation(
+    n_actuated: int | None,
+    limits: LinkLimits,
+    mutation: Mutation,
+    parts: tuple[GenePart, ...],
+    controller: str,
+    room: int,
+) -> Variation:
+    of = table_of(controller, room)
+    numbers = range(LEAST_LINKS, room + 1)
     part = ["body" if gene is None else _part_of(gene, n_actuated) for gene in of.gene_of_column]
     varies = [of_column in parts for of_column in part]
     no_body = np.zeros((0, len(part)))
     no_body.flags.writeable = False  # as tables of designs are, or the kernels would be compiled once more
     return Variation(
         of=of.columns,
+        least=limits.least,
+        most=limits.most,
         body=no_body,
         body_columns=np.flatnonzero([of_column == "body" for of_column in part]),
         n_actuated=ANY_NUMBER if n_actuated is None else n_actuated,
         columns=np.flatnonzero(varies & ~of.columns.is_parent & ~of.columns.is_ignored),
-        change=mutation.genes_changed / of.n_genes,
+        change=np.array(
+            [0.0] * LEAST_LINKS + [mutation.genes_changed / table_of(controller, n).n_genes for n in numbers]
+        ),
         step=mutation.step,
         rewiring=mutation.rewiring if "body" in parts else BODY_STAYS,
+        resizing=mutation.resizing,
     )
 
 
@@ -124,7 +145,10 @@ class Sampler:
         one, other = parents
         otherwise = one.copy()
         if not self.morphology.constrains_gaits:
-            otherwise = other.copy()
+            of = self.variation.of
+            n_joints = [(table[:, of.parent : of.parent + of.room] >= 0).sum(axis=1) for table in parents]
+            in_both = of.link <= np.minimum(*n_joints)[:, None]
+            otherwise = np.where(in_both, other, one)
             otherwise[:, self.variation.body_columns] = one[:, self.variation.body_columns]
 
         def draw(which: Int64) -> DesignTable:
@@ -207,7 +231,8 @@ def mutate(
 
     Intervals and angles take a Gaussian step; an interval is clipped, an angle wraps around. A gain takes one, too, or
     becomes 0. A flag flips. Rewiring gives one link another parent and keeps its other genes. If the number of motors
-    is given, a motor's flag swaps with an opposite one instead: the motor moves to another joint.
+    is given, a motor's flag swaps with an opposite one instead: the motor moves to another joint. Where the morphology
+    leaves the number of links open, some designs gain or lose a leaf of their tree.
 
     >>> rng = np.random.default_rng(seed=1)
     >>> parents = puddle.random_designs(16, rng)
@@ -225,16 +250,19 @@ def mutate(
         DesignError: no mutant of a parent is within the morphology.
     """
     _check_source(rng)
-    variation = variation_of(morphology, mutation=mutation, parts=parts, controller=designs.controller)
+    limits = morphology.n_links
+    room = max(designs.room, limits.most if limits.least < limits.most else 0)
+    variation = variation_of(morphology, mutation=mutation, parts=parts, controller=designs.controller, room=room)
     constraints = morphology if "body" in parts else morphology.of_controllers()
-    return Sampler(rng, variation, constraints, designs.controller).mutants(designs.table).designs
+    table = designs.with_room(room).table
+    return Sampler(rng, variation, constraints, designs.controller).mutants(table).designs
 
 
 def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Designs:
     """Return recombinations of pairs: each link's genes, including its parent's index, come from one of two designs.
 
-    A link's parent has a lower index, so every choice makes a tree. The frequency is one more choice. At least one link
-    comes from each design.
+    A link's parent has a lower index, so every choice makes a tree. The frequency is one more choice, and so are all
+    the links that only one of the designs has. At least one link comes from each design.
 
     If the number of motors is given, joints with a motor in both designs keep it. Then come joints whose link comes
     from the design in which the motor is on, then those with a motor in the other design; ties are random.
@@ -257,8 +285,12 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
     _check_source(rng)
     if one.controller != other.controller:
         raise DesignError(f"designs: controllers {one.controller} and {other.controller}, expected one of both")
-    variation = variation_of(morphology, controller=one.controller)
-    return Sampler(rng, variation, morphology, one.controller).recombinations((one.table, other.table)).designs
+    both = Designs.concatenate([one, other])
+    variation = variation_of(morphology, controller=one.controller, room=both.room)
+    if (n_links := both.n_links).size:
+        variation = variation._replace(least=int(n_links.min()), most=int(n_links.max()))
+    tables = both.table[: len(one)], both.table[len(one) :]
+    return Sampler(rng, variation, morphology, one.controller).recombinations(tables).designs
 
 
 def motors_off(designs: Designs) -> Designs:
@@ -280,5 +312,5 @@ def jittered(designs: Designs, rng: Generator, shifts: Mapping[str, float | Floa
         value, (low, high) = getattr(designs, name), bounds[name]
         step = np.where(rng.random(value.shape[1:]) < 0.5, -1.0, 1.0) * shift
         step = np.where((value + step < low) | (value + step > high), -step, step)
-        moved[name] = np.concatenate((value[:, :1], (value + step)[:, 1:]), axis=1)  # a root has no joint
+        moved[name] = np.where(designs.parent < 0, value, value + step)  # a root has no joint
     return replace(designs, **moved)

@@ -80,10 +80,11 @@ class Breeding(Parameters):
         mutants, crosses = operator == MUTATION, operator == CROSSOVER
 
         # Mutants and recombinations replace the random designs.
-        mutated = population.table[first[mutants]]
+        parents = population.table if n_parents else table[:0]
+        mutated = parents[first[mutants]]
         mutate_kernel(mutated, rng, variation)
         table[mutants] = mutated
-        crossed, others = population.table[first[crosses]], population.table[second[crosses]]
+        crossed, others = parents[first[crosses]], parents[second[crosses]]
         recombine_kernel(crossed, others, rng, variation)
         table[crosses] = crossed
 

@@ -79,6 +79,10 @@ register_search(Search("map_elites", MapElites, package="ribs"))
 
 def measure_bodies(designs: Designs) -> Float64:
     """Return (n_designs, 2) MEASURES [m]."""
-    x, _, angle = rest_pose(designs)
-    half = (np.abs(np.sin(angle)) * designs.length_scale + np.abs(np.cos(angle)) / designs.length_scale) / 2
-    return np.stack(((x + half).max(axis=1) - (x - half).min(axis=1), designs.length_scale.sum(axis=1)), axis=1)
+    measures = np.empty((len(designs), 2))
+    for which, alike in designs.by_number_of_links():
+        x, _, angle = rest_pose(alike)
+        half = (np.abs(np.sin(angle)) * alike.length_scale + np.abs(np.cos(angle)) / alike.length_scale) / 2
+        measures[which, 0] = (x + half).max(axis=1) - (x - half).min(axis=1)
+        measures[which, 1] = alike.length_scale.sum(axis=1)
+    return measures

@@ -20,7 +20,7 @@ from tasks.world import Environment, Physics
 from tasks.world.medium import MediumInRollout
 
 
-def scene_of(environment: Environment, physics: Physics) -> Scene:
+def scene_of(environment: Environment, physics: Physics, n_links: int = N_LINKS) -> Scene:
     """Round the constants that all robots share to float32, as Box2D and NumPy do with their arguments."""
     single = np.float32
     dt = single(physics.time_step)
@@ -36,7 +36,7 @@ def scene_of(environment: Environment, physics: Physics) -> Scene:
         max_motor_speed=fastest(physics),
         velocity_iterations=physics.velocity_iterations,
         position_iterations=physics.position_iterations,
-        n_links=N_LINKS,
+        n_links=n_links,
     )
 
 
@@ -68,7 +68,7 @@ def roll_out(
     """
     medium = environment.medium
     around = MediumInRollout(medium, environment.depth) if medium else None
-    n_members = environment.n_members
+    n_members, n_links = environment.n_members, designs.room
     networks: PackedNetworks | None = getattr(medium, "networks", None)
     robots: Groups | Robots
     if _needs_rigid_bodies(physics):
@@ -76,10 +76,10 @@ def roll_out(
     else:
         n_lanes = n_lanes or widest()
         robots = Groups(designs, environment.depth, physics, medium, n_members=n_members, n_lanes=n_lanes)
-    scene = scene_of(environment, physics)
+    scene = scene_of(environment, physics, n_links)
     n_steps = n_settle + n_measure
     shape = (n_members, len(designs))
-    states = np.empty((robots.n_robots, n_steps, N_LINKS, 6), np.float32) if trace else None
+    states = np.empty((robots.n_robots, n_steps, n_links, 6), np.float32) if trace else None
     robots.advance(scene, 0, 0, None)
     settled = halfway = robots.poses()
     n_half = n_settle + n_measure // 2
@@ -99,9 +99,9 @@ def roll_out(
         if last == n_half:
             halfway = robots.poses()
     return Motion(
-        settled=settled.reshape(*shape, N_LINKS, 6),
-        halfway=halfway.reshape(*shape, N_LINKS, 6),
-        final=robots.poses().reshape(*shape, N_LINKS, 6),
-        trace=None if states is None else states.reshape(*shape, n_steps, N_LINKS, 6),
-        motor_work=robots.motor_work().reshape(*shape, N_LINKS) if motor_work else None,
+        settled=settled.reshape(*shape, n_links, 6),
+        halfway=halfway.reshape(*shape, n_links, 6),
+        final=robots.poses().reshape(*shape, n_links, 6),
+        trace=None if states is None else states.reshape(*shape, n_steps, n_links, 6),
+        motor_work=robots.motor_work().reshape(*shape, n_links) if motor_work else None,
     )

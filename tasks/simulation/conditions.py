@@ -27,7 +27,7 @@ class Conditions:
         """Return the designs as they start; what becomes of one doesn't depend on the others."""
         if self.start == 0:
             return designs
-        length = designs.length_scale
+        length = np.maximum(designs.length_scale, 1.0)  # the shortest; 0 of a link that a design lacks
         of_parent = np.take_along_axis(length, np.maximum(designs.parent, 0), axis=1)
         shifts = {
             "parent_attachment": _SHIFT / (of_parent / 2),

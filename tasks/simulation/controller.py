@@ -77,7 +77,7 @@ class Controllers:
     def __init__(self, designs: Designs, physics: Physics, depth: float) -> None:
         """Begin without memories; ``physics.time_step`` is the time between two targets."""
         single = np.float32
-        jointed = np.arange(designs.parent.shape[1]) > 0
+        jointed = designs.parent >= 0
         self.motor_on: Bools = designs.motor_on & jointed  # (n_designs, n_links); False for the root, without a joint
         self.controller = controller_named(designs.controller)
         self._jointed, self._parent = jointed, np.maximum(designs.parent, 0)

@@ -13,7 +13,6 @@ import numpy as np
 from tasks.arrays import Float32, Floats
 from tasks.compiled import formula
 from tasks.design.body import RigidBodies
-from tasks.design.genes import N_LINKS
 from tasks.simd.lanes import Numeric
 from tasks.world.medium import VelocityChange
 
@@ -93,6 +92,6 @@ def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: Ve
 def _summed(rigid: RigidBodies, quantity: Floats) -> Floats:
     total = np.zeros_like(quantity)
     design = np.arange(len(rigid.first_link))
-    for link in range(N_LINKS):
+    for link in range(rigid.first_link.shape[1]):
         total[:, design, rigid.first_link[:, link]] += quantity[:, :, link]
     return total

@@ -12,7 +12,7 @@ import numpy as np
 
 from tasks.arrays import Floats
 from tasks.design.body import kinematic_trees
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import Designs
 from tasks.world.mujoco_fluid import MujocoFluid
 from tasks.world.physics import Physics
 
@@ -35,7 +35,7 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None, fluid: M
     Xml.SubElement(world, "geom", ground, name="ground")
     actuators = Xml.SubElement(model, "actuator")
     bodies: list[Xml.Element] = []
-    for link in range(N_LINKS):
+    for link in range(design.room):
         along_parent, along_child = float(trees.parent_anchor[0, link]), float(trees.child_anchor[0, link])
         rest, on = float(design.rest_angle[0, link]), link > 0 and bool(design.motor_on[0, link])
         if link == 0:

@@ -18,7 +18,7 @@ from tasks.compiled import entry, inline, specialised, uncompiled
 from tasks.design.controllers import Controller, Joint, controller_named
 from tasks.design.gait import joints_of
 from tasks.design.gene import DesignError
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import Designs
 from tasks.simd.lanes import Block, Lanes, from_row, select
 from tasks.simulation.box2d import top_of_ground
 from tasks.simulation.controller import fastest, motor_speed, sensing, sine_of_turns
@@ -46,14 +46,14 @@ class Sensors(NamedTuple):
 
 # Of a kernel, which has its own.
 LAW: Callable[..., Any] = tuple
-AT, N_GAINS, REMEMBERS = Sensors(*[0] * 9), 0, False
+AT, N_LINKS, N_GAINS, REMEMBERS = Sensors(*[0] * 9), 0, 0, False
 
 
 @inline
-def _of_parent(block: Block, row: int, stride: int, parent: Lanes) -> Lanes:
+def _of_parent(block: Block, row: int, stride: int, parent: Lanes, n_links: int) -> Lanes:
     """Return a quantity of each lane's parent, by its row of the first link."""
     gathered = block[row]
-    for other in range(1, N_LINKS - 1):  # the last link has no children
+    for other in range(1, n_links - 1):  # the last link has no children
         gathered = select(parent == other, block[row + other * stride], gathered)
     return gathered
 
@@ -65,12 +65,12 @@ def _command_motors(block: Block, own: Block, step: int) -> None:
     for link in range(N_LINKS - 1, 0, -1):  # children first: they read what their parents remember of the step before
         k, of_joint = link * AT.stride, from_row(own, OF_ROBOT + link * n_rows)
         parent, rest, memory = block[AT.parent + k], of_joint[REST], of_joint[MEMORY]
-        memory_above = _of_parent(own, OF_ROBOT + MEMORY, n_rows, parent)
+        memory_above = _of_parent(own, OF_ROBOT + MEMORY, n_rows, parent, N_LINKS)
         gains = from_row(of_joint, GAINS)
         blind = Joint(periods, of_joint[AMPLITUDE], of_joint[PHASE], gains, dt, memory, memory_above)
-        joint_angle = block[AT.angle + k] - _of_parent(block, AT.angle, AT.stride, parent)
+        joint_angle = block[AT.angle + k] - _of_parent(block, AT.angle, AT.stride, parent, N_LINKS)
         omega = block[AT.omega + k]
-        speed = omega - _of_parent(block, AT.omega, AT.stride, parent)
+        speed = omega - _of_parent(block, AT.omega, AT.stride, parent, N_LINKS)
         length, y, cos, sin = block[AT.length_scale + k], block[AT.y + k], block[AT.cos + k], block[AT.sin + k]
         commanded = LAW(
             sensing(blind, joint_angle - rest, speed, length, y, cos, sin, omega, own[GROUND]), sine_of_turns
@@ -83,8 +83,8 @@ def _command_motors(block: Block, own: Block, step: int) -> None:
 
 
 @functools.cache
-def _kernel(controller: Controller, sensors: Sensors) -> Callable[..., Any]:
-    constants = {"AT": sensors, "N_GAINS": len(controller.genes), "REMEMBERS": controller.remembers}
+def _kernel(controller: Controller, sensors: Sensors, n_links: int) -> Callable[..., Any]:
+    constants = {"AT": sensors, "N_LINKS": n_links, "N_GAINS": len(controller.genes), "REMEMBERS": controller.remembers}
     return specialised(_command_motors, controller.law, seconds=3, **constants)
 
 
@@ -107,17 +107,18 @@ def motors_of(
     """
     controller, of_design = controller_named(designs.controller), np.arange(len(designs))[:, None]
     n_of_link = GAINS + len(controller.genes)
-    n_rows = OF_ROBOT + N_LINKS * n_of_link
+    n_links = designs.room
+    n_rows = OF_ROBOT + n_links * n_of_link
     numbers = np.zeros((len(designs), n_rows), np.float32)
     numbers[:, :FREQUENCY] = physics.time_step, top_of_ground(depth), physics.motor_gain, fastest(physics)
     numbers[:, FREQUENCY] = designs.frequency
     _, amplitude, phase, gains = joints_of(designs, designs.frequency)[:4]
-    of_links = numbers[:, OF_ROBOT:].reshape(len(designs), N_LINKS, n_of_link)
+    of_links = numbers[:, OF_ROBOT:].reshape(len(designs), n_links, n_of_link)
     of_links[of_design, number, :MEMORY] = np.stack((designs.rest_angle, amplitude, phase), axis=2)
     of_links[of_design, number, GAINS:] = gains.transpose(1, 2, 0)
     own = Block(max(len(design), 1) * n_rows, block.n_lanes)
     own.rows[: len(design) * n_rows].reshape(-1, n_rows, block.n_lanes)[:] = numbers[design].transpose(0, 2, 1)
     try:
-        return Push(entry(_kernel(controller, sensors), block, own, 1), own, n_rows)
+        return Push(entry(_kernel(controller, sensors, n_links), block, own, 1), own, n_rows)
     except NumbaError as error:
         raise DesignError(f"controller {controller.name}: {uncompiled(error, controller.law)}") from error

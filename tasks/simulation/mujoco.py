@@ -15,7 +15,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Float64, Floats, Int64
 from tasks.design.body import kinematic_trees
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import Designs
 from tasks.simulation.box2d import Column, Motion
 from tasks.simulation.conditions import Conditions
 from tasks.simulation.controller import Controllers
@@ -39,16 +39,17 @@ class _Robot:
         self._mujoco = mujoco
         self.model = model = _compiled(mujoco, mjcf(design, depth, physics, fluid))
         self.data = mujoco.MjData(model)
-        self._bodies = [model.body(f"link-{link}").id for link in range(N_LINKS)]
+        n_links = design.room
+        self._bodies = [model.body(f"link-{link}").id for link in range(n_links)]
         self._immersion = _Immersion(model, self._bodies)
         self.motors = [int(model.actuator(k).name.removeprefix("motor-")) for k in range(model.nu)]
         self._motor_speeds = [model.joint(f"joint-{link}").dofadr[0] for link in self.motors]
         hinges = {model.joint(k).name: model.joint(k).qposadr[0] for k in range(model.njnt)}
-        self._turns = [link for link in range(N_LINKS) if link == 0 or f"joint-{link}" in hinges]
+        self._turns = [link for link in range(n_links) if link == 0 or f"joint-{link}" in hinges]
         self._hinges = [hinges[f"joint-{link}" if link else "root-angle"] for link in self._turns]
-        self._to_parent = np.where(np.arange(N_LINKS) > 0, design.rest_angle[0], 0.0)  # angles, also of fixed links
-        self._path = np.eye(N_LINKS)  # 1 where a link is on the path from the root to another, or is that link
-        for link in range(1, N_LINKS):
+        self._to_parent = np.where(design.parent[0] >= 0, design.rest_angle[0], 0.0)  # angles, also of fixed links
+        self._path = np.eye(n_links)  # 1 where a link is on the path from the root to another, or is that link
+        for link in range(1, n_links):
             self._path[link] += self._path[design.parent[0, link]]
 
     def state(self) -> Float64:
@@ -74,7 +75,7 @@ class _Robot:
             self._immersion.set(share)
             self._mujoco.mj_passive(self.model, self.data)
         self._mujoco.mj_step2(self.model, self.data)
-        work = np.zeros(N_LINKS)
+        work = np.zeros(len(self._bodies))
         speeds = self.data.qvel[self._motor_speeds]
         work[self.motors] = np.abs(self.data.actuator_force * speeds) * self.model.opt.timestep
         return work
@@ -161,7 +162,7 @@ def roll_out(
     physics, environment = shorter.of_physics(physics), shorter.of_environment(environment)
     medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None
     fluid = environment.medium if isinstance(environment.medium, MujocoFluid) else None
-    shape = environment.n_members, len(designs), N_LINKS
+    shape = environment.n_members, *designs.parent.shape
     robots = [
         _Robot(mujoco, designs[k : k + 1], environment.depth, physics, fluid)
         for _ in range(shape[0])
@@ -181,20 +182,20 @@ def roll_out(
         nothing = [None] * len(robots)
         x, y, _, vx, vy, omega = np.moveaxis(state, -1, 0)
         if fluid is not None:
-            return nothing, submerged_part(length, y, cos, sin)[0].reshape(-1, N_LINKS)
+            return nothing, submerged_part(length, y, cos, sin)[0].reshape(-1, shape[2])
         if medium is None:
             return nothing, nothing
         links = LinkStates(length, mass, inertia, y, cos, sin, vx, vy, omega, x=x, parent=designs.parent)
         change = medium.velocity_change(links, physics)
         impulse = np.stack((mass * change.vx, mass * change.vy, inertia * change.omega), axis=-1)
-        return (impulse / physics.time_step).reshape(-1, N_LINKS, 3), nothing
+        return (impulse / physics.time_step).reshape(-1, shape[2], 3), nothing
 
-    recorded, work, state = [], np.zeros((len(robots), N_LINKS)), states()
+    recorded, work, state = [], np.zeros((len(robots), shape[2])), states()
     instants = {0: state}
     for step in range(n_settle + n_measure):
         for substep in range(step * shorter.n_substeps, (step + 1) * shorter.n_substeps):
             cos, sin = np.cos(state[..., Column.ANGLE]), np.sin(state[..., Column.ANGLE])
-            targets = controllers.target_angle(substep, state, cos, sin).reshape(-1, N_LINKS)
+            targets = controllers.target_angle(substep, state, cos, sin).reshape(-1, shape[2])
             acting = zip(robots, targets, *actions(state, cos, sin), strict=True)
             done = [robot.step(*given) for robot, *given in acting]
             state = states()

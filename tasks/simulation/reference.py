@@ -16,7 +16,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import MOST_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column, Motion
 from tasks.simulation.controller import Controllers, fastest, motor_speed
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
@@ -25,7 +25,7 @@ from tasks.world.medium import MediumInRollout
 
 _COLLIDES_WITH_GROUND_ONLY = {"groupIndex": -1}
 """Filter of links that pass through each other: fixtures of one negative group never collide. The ground is in none."""
-GROUND_BIT = 1 << N_LINKS  # collision category of the ground; a link's category is the bit of its number
+GROUND_BIT = 1 << MOST_LINKS  # collision category of the ground; a link's category is the bit of its number
 
 
 def empty_world(physics: Physics) -> Any:
@@ -41,7 +41,7 @@ def _collides(parents: Int64, link: int, physics: Physics) -> dict[str, int]:
     if not physics.link_collisions:
         return _COLLIDES_WITH_GROUND_ONLY
     joined = (link, parents[link], *np.flatnonzero(parents == link))
-    unjoined = sum(1 << other for other in range(N_LINKS) if other not in joined)
+    unjoined = sum(1 << other for other in range(len(parents)) if other not in joined)
     return {"categoryBits": 1 << link, "maskBits": GROUND_BIT | unjoined}
 
 
@@ -107,7 +107,7 @@ class _Links:
         bodies = [body for robot in robots for body in robot.bodies]
         # Views of Box2D's memory: they always read the present state.
         self._views = [(b, b.position, b.linearVelocity, b.transform.q) for b in bodies]
-        shape = (n_members, len(rigid.first_link), N_LINKS)
+        shape = (n_members, *rigid.first_link.shape)
         self._is_first = np.broadcast_to(rigid.is_first, shape)
         number = np.cumsum(self._is_first.ravel()).reshape(shape) - 1
         self._body_of_link = np.take_along_axis(number, np.broadcast_to(rigid.first_link, shape), axis=2)
@@ -145,7 +145,8 @@ def roll_out(
 
     The arguments are those of :func:`tasks.simulation.rollout.simulate`; ``trace`` also records the motor torques.
     """
-    n_members, n_designs, n_steps = environment.n_members, len(designs), n_settle + n_measure
+    n_members, n_steps = environment.n_members, n_settle + n_measure
+    n_designs, n_links = designs.parent.shape
     trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     controllers = Controllers(designs, physics, environment.depth)
@@ -157,9 +158,9 @@ def roll_out(
     links = _Links(robots, rigid, n_members)
     alive = np.ones((n_members, n_designs), dtype=bool)
     placed = links.place()
-    recorded = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
-    torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
-    work = np.zeros((n_members, n_designs, N_LINKS), np.float32) if motor_work else None
+    recorded = np.full((n_members, n_designs, n_steps, n_links, 6), np.nan, np.float32) if trace else None
+    torque = np.zeros((n_members, n_designs, n_steps, n_links), np.float32) if trace else None
+    work = np.zeros((n_members, n_designs, n_links), np.float32) if motor_work else None
     settled = halfway = placed.state
     medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None
     for step in range(n_steps):
@@ -177,11 +178,11 @@ def roll_out(
         if recorded is not None:
             recorded[:, :, step] = placed.state
         if torque is not None:
-            torque[:, :, step] = _motor_impulses(robots, alive.shape) * np.float32(1.0 / physics.time_step)
+            torque[:, :, step] = _motor_impulses(robots, placed.cos.shape) * np.float32(1.0 / physics.time_step)
             torque[~alive, step] = np.nan
         if work is not None and step >= n_settle:
             speed = controllers.less_parent(placed.state[..., Column.OMEGA])
-            work += np.abs(_motor_impulses(robots, alive.shape) * speed)
+            work += np.abs(_motor_impulses(robots, placed.cos.shape) * speed)
         if step + 1 == n_settle:
             settled = placed.state
         if step + 1 == n_settle + n_measure // 2:
@@ -192,12 +193,12 @@ def roll_out(
 
 
 def _motor_impulses(robots: list[_Robot], shape: tuple[int, ...]) -> Float32:
-    """Read the motor impulses of the last step; shape is (n_members, n_designs); (*shape, n_links) [N·m·s]."""
-    impulse = np.zeros((len(robots), N_LINKS), np.float32)
+    """Read the motor impulses of the last step; (n_members, n_designs, n_links) is their shape [N·m·s]."""
+    impulse = np.zeros((len(robots), shape[2]), np.float32)
     for row, robot in zip(impulse, robots, strict=True):
         for link, joint in robot.joints.items():
             row[link] = joint.GetMotorTorque(1.0)  # the impulse over an inverse time step of 1, which rounds nothing
-    return impulse.reshape(*shape, N_LINKS)
+    return impulse.reshape(shape)
 
 
 def _command_motors(
@@ -207,8 +208,8 @@ def _command_motors(
     angle = placed.state[..., Column.ANGLE]
     target = controllers.target_angle(step, placed.state, placed.cos, placed.sin)
     speed = motor_speed(target, controllers.less_parent(angle), np.float32(physics.motor_gain), fastest(physics))
-    speeds_of_robots = speed.reshape(len(robots), N_LINKS).tolist()
-    on = np.broadcast_to(controllers.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
+    speeds_of_robots = speed.reshape(len(robots), speed.shape[-1]).tolist()
+    on = np.broadcast_to(controllers.motor_on, angle.shape).reshape(len(robots), angle.shape[-1]).tolist()
     for robot, speeds, flags in zip(robots, speeds_of_robots, on, strict=True):
         for link, joint in robot.joints.items():
             if flags[link]:

@@ -4,12 +4,14 @@ Paper, "Performance Evaluation": a robot settles for a while, then the displacem
 from the first step.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tasks.arrays import ArrayData, Float32, Float64
+from tasks.arrays import ArrayData, Float32, Float64, Int64
 from tasks.design.genes import Designs, check
 from tasks.simulation.box2d import Column, Motion
 from tasks.simulation.engine import EngineName, engine_in, engine_named
@@ -28,7 +30,8 @@ class Rollouts(ArrayData):
     status: npt.NDArray[np.str_]  # (n_designs,) "ok", or "diverged" where a state became non-finite
     trace: Float32 | None
     """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step, links in the
-    design's own order. NaN from the step in which a rollout diverged; None unless requested."""
+    design's own order. NaN from the step in which a rollout diverged, and of links that a design lacks; None unless
+    requested."""
     motor_torque: Float32 | None = None
     """(n_designs, n_steps, n_links) torque of each joint's motor on the child link [N·m]; NaN like the trace. Only the
     reference engine reports it, together with the trace."""
@@ -93,12 +96,35 @@ def simulate(
         if not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name} is {value!r}, expected at least {least}, a whole number")
     name = engine_in(environment.medium, engine)
-    motion = engine_named("reference" if physics.continuous_collision and name == "batch" else name).roll_out(
-        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work
-    )
+    chosen = engine_named("reference" if physics.continuous_collision and name == "batch" else name)
+    duration = {"n_settle": n_settle, "n_measure": n_measure}
     second_half_seconds = (n_measure - n_measure // 2) * physics.time_step
-    found = _measure(motion, second_half_seconds, squeeze=not environment.is_ensemble)
-    return replace(found, n_settle=n_settle)
+    groups, found = designs.by_number_of_links(), []
+    for _, alike in groups:
+        motion = chosen.roll_out(alike, environment, physics, **duration, trace=trace, motor_work=motor_work)
+        found.append(_measure(motion, second_half_seconds, squeeze=not environment.is_ensemble))
+    joined = found[0] if len(groups) == 1 else _joined(found, [which for which, _ in groups])
+    return replace(joined, n_settle=n_settle)
+
+
+def _joined(found: Sequence[Rollouts], indices: Sequence[Int64]) -> Rollouts:
+    """Join rollouts of some designs each, given the indices of these; what a robot lacks of links is NaN."""
+    order, axis = np.argsort(np.concatenate(indices)), found[0].displacement.ndim - 1
+
+    def join(name: str, axis_of_links: int = 0) -> Any:
+        arrays = [getattr(part, name) for part in found]
+        if arrays[0] is None:
+            return None
+        if axis_of_links:
+            most, beyond = max(array.shape[axis_of_links] for array in arrays), np.zeros((arrays[0].ndim, 2), int)
+            for number, array in enumerate(arrays):
+                beyond[axis_of_links, 1] = most - array.shape[axis_of_links]
+                arrays[number] = np.pad(array, beyond, constant_values=np.nan)
+        return np.concatenate(arrays, axis=axis).take(order, axis=axis)
+
+    on_links = {"trace": -2, "motor_torque": -1}
+    names = (field.name for field in fields(Rollouts) if field.name != "n_settle")
+    return Rollouts(**{name: join(name, on_links.get(name, 0)) for name in names})
 
 
 def _measure(motion: Motion, second_half_seconds: float, *, squeeze: bool) -> Rollouts:

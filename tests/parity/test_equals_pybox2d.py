@@ -1,5 +1,6 @@
 """Both batch engines against pybox2d: every float of every step, with ==, on designs drawn anew each time."""
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -9,13 +10,12 @@ import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 from links_in_box2d import ReferenceFreeLinks
 
-from tasks.design import Morphology, random_designs
+from tasks.design import LinkLimits, Morphology, random_designs
 from tasks.residual.forms import FORMS, form_named
 from tasks.simd import rotation
 from tasks.simd.lanes import widest
 from tasks.simulation import batch, free_links
 from tasks.simulation.box2d import Column
-from tasks.simulation.trees import packing
 from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
 from tasks.world.anisotropic_slush import AnisotropicSlush
 from tasks.world.environment import Pool
@@ -61,6 +61,18 @@ def test_every_float_of_every_step(kind, depth: float, engine, same_libm: None, 
     designs = random_designs(N_DESIGNS, np.random.default_rng(seed))
     motion = assert_equal(designs, kind(depth), Physics(**engine), n_settle=n_settle, n_measure=n_measure)
     assert np.isfinite(motion.final).all()
+
+
+@pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(1.0)], ids=["dry", "slush"])
+@pytest.mark.parametrize("controller", ["open_loop", "reflex", "phase"])
+@pytest.mark.parametrize("n_links", [2, 12])
+def test_robots_of_other_numbers_of_links(
+    n_links: int, controller: str, environment: Environment, engine, same_libm: None, seed: int
+) -> None:
+    number = Morphology(n_links=LinkLimits(least=n_links, most=n_links))
+    designs = random_designs(N_DESIGNS, np.random.default_rng(seed), morphology=number, controller=controller)
+    motion = assert_equal(designs, environment, Physics(**engine), n_settle=20, n_measure=130)
+    assert motion.final.shape == (1, N_DESIGNS, n_links, 6) and np.isfinite(motion.final).all()
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(0.3)], ids=["dry", "slush"])
@@ -123,8 +135,8 @@ def test_drag_by_component(depth: float, engine, same_libm: None, seed: int) -> 
     ids=["trees", "rigid bodies, colliding", "as built"],
 )
 def test_every_tree(environment: Environment, physics: Physics, same_libm: None, seed: int) -> None:
-    designs = random_designs(len(packing.TREES), np.random.default_rng(seed))
-    designs = replace(designs, parent=np.array(packing.TREES))
+    trees = np.array(list(itertools.product((-1,), *(range(link) for link in range(1, 6)))))
+    designs = replace(random_designs(len(trees), np.random.default_rng(seed)), parent=trees)
     assert_equal(designs, environment, physics, n_settle=20, n_measure=60)
 
 

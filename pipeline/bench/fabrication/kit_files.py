@@ -12,7 +12,7 @@ from pipeline.store.encoding import Json, decode_document, encode_document
 from pipeline.store.owned_folder import FolderKind
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
 from tasks.bench.fabrication.timeline import FRAME_RATE_HZ, Timeline, pulses
-from tasks.design import N_LINKS
+from tasks.design import MOST_LINKS
 from tasks.parameters import Parameters
 
 KIT_MANIFEST = "kit.json"  # makes a folder a kit: schema, source, findings and the SHA-256 of every other file
@@ -28,7 +28,7 @@ class _TimelineDocument(Parameters):
     schema_name: str = Field(alias="schema")
     version: int
     frames_per_second: Literal[50]
-    joints: tuple[Annotated[int, Field(ge=1, lt=N_LINKS)], ...]
+    joints: tuple[Annotated[int, Field(ge=1, lt=MOST_LINKS)], ...]
     angle: _Columns
     channels: tuple[int, ...]
     pulse_us: _Columns

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from tasks.arrays import Bools, Float64
 from tasks.bench.fabrication.kit_settings import ThrowingKit
 from tasks.bench.fabrication.throwing_bars import ThrowingBar
-from tasks.design.genes import N_LINKS
+from tasks.design.genes import MOST_LINKS, N_LINKS
 from tasks.parameters import Parameters
 
 Dictionary = Literal["4x4_50", "4x4_250", "5x5_50", "5x5_250", "6x6_250", "apriltag_16h5", "apriltag_36h11"]
@@ -86,12 +86,14 @@ class RobotTags(Parameters):
 
     first: int = Field(default=20, ge=0)
     """Number of the tag of link 0; link 1 has the next one, and so on."""
+    n_links: int = Field(default=N_LINKS, ge=2, le=MOST_LINKS)
+    """Links of the robot."""
     tag_size: float = Field(default=0.0174, gt=0.001, le=1.0)
     """Edge of the black square of each tag [m]."""
 
     def bars(self) -> tuple[TaggedBar, ...]:
         """Return the links as bars whose size does not matter, in their order."""
-        tags = [BarTag(number=self.first + link, size=self.tag_size) for link in range(N_LINKS)]
+        tags = [BarTag(number=self.first + link, size=self.tag_size) for link in range(self.n_links)]
         return tuple(TaggedBar(length=1.0, width=1.0, mass=1.0, tags=(tag,)) for tag in tags)
 
 

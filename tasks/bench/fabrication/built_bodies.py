@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.arrays import Float64
 from tasks.bench.fabrication.kit_settings import KitSettings
-from tasks.design import N_LINKS, Designs, rest_pose
+from tasks.design import Designs, rest_pose
 from tasks.design.gait import reach, swing
 
 Point = tuple[float, float]
@@ -123,18 +123,19 @@ def swept(shape: BaseGeometry, poses: list[Pose]) -> BaseGeometry:
 
 def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
     """Find the parts and the turning joints of one valid design, at the scale of the kit."""
+    design = design.compact()
     scale = settings.scale_mm_per_m
     x, y, angle = (array[0] for array in rest_pose(design))
     length, parent, turns = design.length_scale[0], design.parent[0], design.motor_on[0]
     farthest, swings = reach(design)[0], swing(design, np.arange(_N_GAIT)[:, None, None] / _N_GAIT)[:, 0]
     links = []
-    for link in range(N_LINKS):
+    for link in range(len(parent)):
         half_w, half_h = scale / length[link] / 2, scale * length[link] / 2
         upright = affinity.rotate(box(-half_w, -half_h, half_w, half_h), angle[link], origin=(0, 0), use_radians=True)
         links.append(affinity.translate(upright, scale * x[link], scale * y[link]))
-    body_of, members, depth = [0] * N_LINKS, [[0]], [0]
+    body_of, members, depth = [0] * len(parent), [[0]], [0]
     joints = []
-    for link in range(1, N_LINKS):
+    for link in range(1, len(parent)):
         above = int(parent[link])
         if not turns[link]:
             body_of[link] = body_of[above]

@@ -10,7 +10,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from tasks.design.genes import N_LINKS
+from tasks.design.genes import MOST_LINKS
 from tasks.parameters import Parameters
 
 _MIN_PULSE_US, _MAX_PULSE_US = 400.0, 2600.0  # hobby servos; a value outside is a typing error
@@ -19,7 +19,7 @@ _MIN_PULSE_US, _MAX_PULSE_US = 400.0, 2600.0  # hobby servos; a value outside is
 class ServoCalibration(Parameters):
     """Calibration of one servo."""
 
-    joint: int = Field(ge=1, lt=N_LINKS)
+    joint: int = Field(ge=1, lt=MOST_LINKS)
     """The joint that it moves, by the number of its child link."""
     channel: int = Field(ge=0, le=23)
     """Channel of the servo controller."""

@@ -20,7 +20,6 @@ from numba.core.errors import NumbaError
 
 from tasks.arrays import Bools, Float32, Int64
 from tasks.compiled import entry, inline, specialised, uncompiled
-from tasks.design.genes import N_LINKS
 from tasks.simd.lanes import Block, as_block, call, from_row
 from tasks.simulation.fluids import Links, Rows
 from tasks.simulation.networks.inference import PackedNetworks, run_networks
@@ -101,7 +100,9 @@ def _kernel(
     return specialised(template, law, seconds=1, ROWS=rows, **kicks)
 
 
-def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows, fall: np.float32) -> Coupling:
+def couple(
+    networks: PackedNetworks, blocks: Float32, n_robots: int, n_links: int, rows: Rows, fall: np.float32
+) -> Coupling:
     """Return the coupling of robots with the networks of their members, for :func:`push`.
 
     Args:
@@ -109,6 +110,7 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows,
         blocks: (n_groups, n_rows, n_lanes) aligned, contiguous memory of the robots. Robot i is in lane i mod n_lanes
             of group i // n_lanes; lanes left over hold copies of the last robot, and stay copies.
         n_robots: number of robots, n_designs for each member; robot number member · n_designs + design.
+        n_links: links of each robot.
         rows: where the blocks have the quantities of links.
         fall: what gravity adds to vy in a step [m/s].
 
@@ -118,9 +120,9 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int, rows: Rows,
     read, act = networks.read, networks.act
     assert read is not None and act is not None  # both are of their form
     n_designs = n_robots // networks.n_members
-    x, out = networks.allocate(n_designs * N_LINKS)
+    x, out = networks.allocate(n_designs * n_links)
     n_groups, n_rows, n_lanes = blocks.shape
-    link, robot = (index.reshape(-1) for index in np.indices((N_LINKS, n_groups * n_lanes)))
+    link, robot = (index.reshape(-1) for index in np.indices((n_links, n_groups * n_lanes)))
     group, lane = np.divmod(robot, n_lanes)
     member, design = np.divmod(np.minimum(robot, n_robots - 1), n_designs)
     vector, first = np.divmod(link * n_designs + design, N_LANES)

@@ -5,7 +5,7 @@ import numpy as np
 from tasks.arrays import Float32
 from tasks.compiled import compiled
 from tasks.design.body import kinematic_trees, rigid_bodies
-from tasks.design.genes import N_JOINTS, N_LINKS, Designs
+from tasks.design.genes import Designs
 from tasks.simd.lanes import Block, as_block
 from tasks.simulation.box2d import Scene
 from tasks.simulation.fluids import Acting, Rows, push_of
@@ -70,7 +70,7 @@ class Robots:
 
         A medium with a law acts in every step; any other is up to the caller.
         """
-        self._shape = (n_members, len(designs), N_LINKS)
+        self._shape = (n_members, len(designs), designs.room)
         self._physics, self._parent = physics, designs.parent
         self._rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
         trees = kinematic_trees(designs, density=physics.link_density)
@@ -79,22 +79,22 @@ class Robots:
         self._numbers = as_block(self.records.view(np.float32).reshape(-1, 1))
         member = np.repeat(np.arange(n_members), len(designs))[:, None]
         fluid = push_of(medium, physics, _OF_LINKS, self._numbers, member)
-        number = np.tile(np.arange(N_LINKS), (len(designs), 1))
+        number = np.tile(np.arange(designs.room), (len(designs), 1))
         design = np.arange(self.n_robots)[:, None] % max(len(designs), 1)
         motors = motors_of(designs, depth, physics, number, design, _SENSORS, self._numbers)
         self._acting = Acting(motors, fluid)
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states; NaN where diverged."""
-        links = self.records["links"]
+        links = self.records["links"][:, : self._shape[2]]
         states: Float32 = np.stack([links[name] for name in ("x", "y", "angle", "vx", "vy", "omega")], axis=-1)
         states[np.isnan(self.records["divergence"])] = np.nan
         return states
 
     def motor_work(self) -> Float32:
         """Read (n_robots, n_links) work of the joints' motors since it began to be counted [J]."""
-        work = np.zeros((self.n_robots, N_LINKS), np.float32)
-        robot, joint = np.nonzero(np.arange(N_JOINTS) < self.records["n_joints"][:, None])
+        work = np.zeros((self.n_robots, self._shape[2]), np.float32)
+        robot, joint = np.nonzero(np.arange(self._shape[2]) < self.records["n_joints"][:, None])
         joints = self.records["joints"][robot, joint]
         work[robot, joints["child"]] = joints["motor_work"]
         return work
@@ -104,7 +104,7 @@ class Robots:
 
         The states after each step fill ``trace``, (n_robots, n_steps, n_links, 6).
         """
-        states = np.empty((0 if trace is None else self.n_robots, n_steps, N_LINKS, 6), np.float32)
+        states = np.empty((0 if trace is None else self.n_robots, n_steps, self._shape[2], 6), np.float32)
         end = first_step + n_steps
         with np.errstate(all="ignore"):  # without the compiler NumPy would warn
             _advance(self.records, self._numbers, scene, self._acting, first_step, end, states)
@@ -114,8 +114,8 @@ class Robots:
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps without a trace in a medium that is a network for each member, all in one kernel."""
         rows = self._numbers.rows.reshape(self.n_robots, -1, 1)
-        coupling = coupled.couple(networks, rows, self.n_robots, _OF_LINKS, scene.fall)
-        no_trace = np.empty((0, 0, N_LINKS, 6), np.float32)
+        coupling = coupled.couple(networks, rows, self.n_robots, self._shape[2], _OF_LINKS, scene.fall)
+        no_trace = np.empty((0, 0, self._shape[2], 6), np.float32)
         with np.errstate(all="ignore"):
             _advance_with_networks(
                 self.records, self._numbers, scene, self._acting, first_step, first_step + n_steps, coupling, no_trace
@@ -123,7 +123,7 @@ class Robots:
 
     def push(self, medium: Medium) -> None:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""
-        links = self.records["links"].reshape(self._shape)
+        links = self.records["links"][:, : self._shape[2]].reshape(self._shape)
         of_links = {name: np.ascontiguousarray(links[name]) for name in QUANTITIES}
         change = medium.velocity_change(LinkStates(**of_links, parent=self._parent), self._physics)
         of_body = body_change(self._rigid, links["lever_x"], links["lever_y"], change)

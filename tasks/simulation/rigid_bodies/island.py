@@ -32,8 +32,10 @@ def _push(robot: RobotRecord, visited: int, n_stack: int, body: int) -> tuple[in
 def search(robot: RobotRecord) -> None:
     """b2World::Solve's depth-first search from the root's body; sets are the bits of whole numbers."""
     n_contacts, n_joints, n_stack = 0, 0, 1
-    bodies, contacts, joints = 1, 0, 0
+    bodies, joints = 1, 0
     robot.stack[0] = 0
+    for i in range(robot.n_contacts):
+        robot.contacts[robot.contact_list[i]].in_island = 0
     while n_stack > 0:
         n_stack -= 1
         b = robot.stack[n_stack]
@@ -43,8 +45,8 @@ def search(robot: RobotRecord) -> None:
             k = robot.contact_list[i]
             contact = robot.contacts[k]
             ties = contact.point_count > 0 and (contact.body_a == b or contact.body_b == b)
-            if ties and not contacts & (1 << k):
-                contacts |= 1 << k
+            if ties and contact.in_island == 0:
+                contact.in_island = 1
                 robot.island_contacts[n_contacts] = k
                 n_contacts += 1
                 other = contact.body_b if contact.body_a == b else contact.body_a

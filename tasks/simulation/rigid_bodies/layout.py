@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from numpy import float32
 
-from tasks.design.genes import N_JOINTS, N_LINKS
+from tasks.design.genes import MOST_LINKS
 
-GROUND = N_LINKS  # the ground's index among the bodies and among the fixtures
-_N_BODIES = N_LINKS + 1
-MAX_CONTACTS = N_LINKS + N_LINKS * (N_LINKS - 1) // 2 - N_JOINTS
-"""Every link with the ground, and every two links except those that a joint ties."""
+GROUND = MOST_LINKS  # the ground's index among the bodies and among the fixtures
+_N_BODIES = MOST_LINKS + 1
+MAX_CONTACTS = MOST_LINKS + (MOST_LINKS - 1) * (MOST_LINKS - 2) // 2
+"""Every link of the largest robot with the ground, and every two links except those that a joint ties."""
 
 _FLOAT = float32()
 _OF_CORNERS = [_FLOAT] * 4  # a quantity of a box's corners or edges; edge i goes from corner i to corner i + 1
@@ -77,13 +77,14 @@ class ContactPointRecord:
 class ContactRecord:
     """b2Contact, b2Manifold and b2ContactVelocityConstraint.
 
-    It exists (0 or 1) while the fat AABBs overlap. local_normal and local_point are the reference edge's normal and
-    centre in the frame of its body, which is B where the manifold is flipped (0 or 1; b2Manifold::e_faceB). The normal
-    points from A to B. Of point_count points the velocity solver has solved_count: 1 where a block of 2 is
-    ill-conditioned. k is the matrix K of both normal impulses, m its inverse.
+    It exists (0 or 1) while the fat AABBs overlap, and is in the island (0 or 1) once the search has found it.
+    local_normal and local_point are the reference edge's normal and centre in the frame of its body, which is B where
+    the manifold is flipped (0 or 1; b2Manifold::e_faceB). The normal points from A to B. Of point_count points the
+    velocity solver has solved_count: 1 where a block of 2 is ill-conditioned. k is the matrix K of both normal
+    impulses, m its inverse.
     """
 
-    fixture_a, fixture_b, body_a, body_b, exists, point_count, flipped = [0] * 7
+    fixture_a, fixture_b, body_a, body_b, exists, in_island, point_count, flipped = [0] * 8
     local_normal_x, local_normal_y, local_point_x, local_point_y, normal_x, normal_y = [_FLOAT] * 6
     solved_count = 0
     k11, k12, k22, m11, m12, m22 = [_FLOAT] * 6
@@ -105,7 +106,7 @@ class JointRecord:
 
 
 class RobotRecord:
-    """A robot alone in its b2World.
+    """A robot alone in its b2World, with room for the largest.
 
     Bodies are ordered by their first links, fixtures as their links; the ground is the last of both. Contacts are all
     pairs of fixtures that may collide, ordered by their proxies. Lists hold indices: contact_list of the contacts that
@@ -113,15 +114,15 @@ class RobotRecord:
     them. divergence is NaN from where the robot diverged, 0 before.
     """
 
-    links = [LinkRecord()] * N_LINKS
+    links = [LinkRecord()] * MOST_LINKS
     bodies = [BodyRecord()] * _N_BODIES
     fixtures = [FixtureRecord()] * _N_BODIES
     contacts = [ContactRecord()] * MAX_CONTACTS
-    joints = [JointRecord()] * N_JOINTS
+    joints = [JointRecord()] * (MOST_LINKS - 1)
     divergence = _FLOAT
     n_bodies, n_joints, n_pairs, n_contacts, n_island_contacts, n_island_joints = [0] * 6
     contact_list, island_contacts = [[0] * MAX_CONTACTS] * 2
-    island_joints = [0] * N_JOINTS
+    island_joints = [0] * (MOST_LINKS - 1)
     stack = [0] * _N_BODIES
 
 

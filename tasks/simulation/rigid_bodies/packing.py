@@ -5,10 +5,10 @@ import numpy.typing as npt
 
 from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
 from tasks.simulation.free_links import sines_and_cosines
-from tasks.simulation.rigid_bodies.layout import GROUND, MAX_CONTACTS, ROBOT, Records
+from tasks.simulation.rigid_bodies.layout import GROUND, ROBOT, Records
 from tasks.world.physics import Physics
 
 
@@ -73,7 +73,7 @@ def _reset_mass_data(
     design = np.arange(len(mass))
     total, moment = np.zeros_like(mass), np.zeros_like(inertia)
     local = np.zeros_like(center)
-    for link in reversed(range(N_LINKS)):
+    for link in reversed(range(mass.shape[1])):
         first = rigid.first_link[:, link]
         total[design, first] += mass[:, link]
         local[design, first] += mass[:, link, None] * center[:, link]
@@ -93,23 +93,23 @@ def body_index(rigid: RigidBodies) -> Int64:
 
 
 def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tuple[Int64, Int64, Int64]:
-    """Return (n_designs, MAX_CONTACTS) fixtures A and B that may collide, ordered by their proxies, and how many count.
+    """Return (n_designs, n_pairs) fixtures A and B that may collide, ordered by their proxies, and how many count.
 
     Proxies are numbered as the fixtures are created: the ground's, then those of each body's links, from the body with
     the last first link to the root's. A is the fixture with the lower proxy.
     """
-    n_designs = len(designs)
-    created = np.argsort((N_LINKS - rigid.first_link) * N_LINKS + np.arange(N_LINKS), axis=1)
+    n_designs, n_links = designs.parent.shape
+    created = np.argsort((n_links - rigid.first_link) * n_links + np.arange(n_links), axis=1)
     created = np.concatenate([np.full((n_designs, 1), GROUND), created], axis=1)
-    first, second = np.triu_indices(N_LINKS + 1, 1)
+    first, second = np.triu_indices(n_links + 1, 1)
     a, b = created[:, first], created[:, second]
     may = a == GROUND
     if physics.link_collisions:
-        link_a, design = np.minimum(a, N_LINKS - 1), np.arange(n_designs)[:, None]
+        link_a, design = np.minimum(a, n_links - 1), np.arange(n_designs)[:, None]
         apart = rigid.first_link[design, link_a] != rigid.first_link[design, b]
         unjoined = (designs.parent[design, link_a] != b) & (designs.parent[design, b] != link_a)
         may = may | (apart & unjoined)
-    order = np.argsort(~may, axis=1, kind="stable")[:, :MAX_CONTACTS]
+    order = np.argsort(~may, axis=1, kind="stable")[:, : int(may.sum(axis=1).max(initial=0))]
     return np.take_along_axis(a, order, axis=1), np.take_along_axis(b, order, axis=1), may.sum(axis=1)
 
 
@@ -124,7 +124,8 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
     vertices, normals = _rotated(vertices, cos, sin) + centroid[..., None, :], _rotated(normals, cos, sin)
     inverse_mass, inverse_inertia, center = _reset_mass_data(rigid, *compute_mass(vertices, physics.link_density))
 
-    _pack_links(robots["links"], designs, trees, rigid)
+    n_links = designs.room
+    _pack_links(robots["links"][:, :n_links], designs, trees, rigid)
     robots["n_bodies"] = rigid.is_first.sum(axis=1)
     design, link = np.nonzero(rigid.is_first)
     for name, quantity in (
@@ -137,16 +138,15 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
         ("local_center_y", center[..., 1]),
     ):
         robots["bodies"][name][design, index[design, link]] = quantity[design, link]
-    _pack_fixtures(robots["fixtures"][:, :N_LINKS], index, vertices, normals, centroid)
+    _pack_fixtures(robots["fixtures"][:, :n_links], index, vertices, normals, centroid)
     _pack_ground(robots, depth)
     _pack_joints(robots, designs, trees, rigid, center, physics)
 
     fixture_a, fixture_b, robots["n_pairs"] = fixture_pairs(designs, rigid, physics)
-    body = np.concatenate([index, np.full((len(designs), 1), GROUND)], axis=1)
-    contacts = robots["contacts"]
+    contacts = robots["contacts"][:, : fixture_a.shape[1]]
     contacts["fixture_a"], contacts["fixture_b"] = fixture_a, fixture_b
-    contacts["body_a"] = np.take_along_axis(body, fixture_a, axis=1)
-    contacts["body_b"] = np.take_along_axis(body, fixture_b, axis=1)
+    for name, fixture in (("body_a", fixture_a), ("body_b", fixture_b)):
+        contacts[name] = np.take_along_axis(robots["fixtures"]["body"], fixture, axis=1)
     return robots
 
 
@@ -178,7 +178,7 @@ def _pack_joints(
     robots: Records, designs: Designs, trees: KinematicTrees, rigid: RigidBodies, center: Float32, physics: Physics
 ) -> None:
     """Pack the joints, ordered by their child links."""
-    design, link = np.nonzero(rigid.is_first & (np.arange(N_LINKS) > 0))
+    design, link = np.nonzero(rigid.is_first & (designs.parent >= 0))
     index, parent = body_index(rigid), designs.parent[design, link]
     center_a, center_b = center[design, rigid.first_link[design, parent]], center[design, link]
     max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)

@@ -15,7 +15,7 @@ from tasks.simulation.box2d import Scene
 from tasks.simulation.fluids import Acting, Push, of_group
 from tasks.simulation.fused_links import placed, turned
 from tasks.simulation.rigid_bodies import broad_phase, island, revolute_joint
-from tasks.simulation.rigid_bodies.layout import ROBOT, RobotRecord
+from tasks.simulation.rigid_bodies.layout import GROUND, ROBOT, RobotRecord
 from tasks.simulation.rigid_bodies.transform import transform
 
 N_ROWS = ROBOT.itemsize // 4  # numbers of a record, of four bytes each
@@ -70,7 +70,7 @@ def _command_motors(robot: RobotRecord, numbers: Block, motors: Push, step: int)
 def _orient_fixtures(robot: RobotRecord, scene: Scene) -> None:
     """Compute the corners, normals and AABBs of all fixtures."""
     for i in range(scene.n_links + 1):
-        box = robot.fixtures[i]
+        box = robot.fixtures[i if i < scene.n_links else GROUND]
         broad_phase.orient(robot.bodies[box.body], box)
 
 
@@ -142,7 +142,7 @@ def _spawn(robot: RobotRecord, scene: Scene) -> None:
         _place_link(robot, index)
     _orient_fixtures(robot, scene)
     for i in range(scene.n_links + 1):
-        broad_phase.create_proxy(robot.fixtures[i])
+        broad_phase.create_proxy(robot.fixtures[i if i < scene.n_links else GROUND])
     broad_phase.find_new_contacts(robot)
 
 

@@ -30,7 +30,6 @@ Position correction of a point, by β of the error and as a Newton step with the
 
 import tasks.simulation.box2d as box2d
 from tasks.compiled import inline
-from tasks.design.genes import N_LINKS
 from tasks.simd.lanes import Block, Lanes, Mask, Uniform, any_lane, select
 from tasks.simd.rotation import sincos
 from tasks.simulation.box2d import Scene
@@ -48,7 +47,7 @@ def collide(block: Block, link: int, scene: Scene) -> bool:
     """Return whether a link touches the ground in any lane: b2CollidePolygons and b2Contact::Update."""
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     hx, hy = block[at.HALF_WIDTH + link], block[at.HALF_HEIGHT + link]
-    first, second, ground = link, link + N_LINKS, scene.ground
+    first, second, ground = link, link + at.ROOM, scene.ground
     old_vertex_1, old_vertex_2 = block[at.VERTEX + first], block[at.VERTEX + second]
     if not any_lane(y - abs(s) * hx - abs(c) * hy - ground < _CLEARLY_APART):
         if any_lane(old_vertex_1 != NO_VERTEX):
@@ -118,7 +117,7 @@ def init_velocity_constraint(block: Block, link: int, scene: Scene) -> bool:
     Returns:
         Whether any lane has a block of two points.
     """
-    first, second = link, link + N_LINKS
+    first, second = link, link + at.ROOM
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     vy, w = block[at.VY + link], block[at.OMEGA + link]
     r1_x, r1_y = _lever(block, link, first, scene.ground)
@@ -194,7 +193,7 @@ def solve_point(block: Block, link: int, scene: Scene) -> None:
 @inline
 def solve_both_points(block: Block, link: int, scene: Scene) -> None:
     """b2ContactSolver::SolveVelocityConstraints where a lane has two points: friction, then the block of normals."""
-    first, second = link, link + N_LINKS
+    first, second = link, link + at.ROOM
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
     r1_x, r2_x = block[at.R_X + first], block[at.R_X + second]
@@ -270,10 +269,10 @@ def solve_position_constraint(block: Block, link: int, scene: Scene, unsolved: M
     The lanes ``unsolved`` are corrected; the others stay as they are.
     """
     touches = block[at.VERTEX + link] != NO_VERTEX
-    both = block[at.VERTEX + N_LINKS + link] != NO_VERTEX
+    both = block[at.VERTEX + at.ROOM + link] != NO_VERTEX
     separation = _push_out(block, link, link, scene.ground, unsolved & touches)
     shallow: Mask = ~touches | (separation >= box2d.LEAST_SEPARATION)
     if any_lane(both):
-        separation = _push_out(block, link, link + N_LINKS, scene.ground, unsolved & both)
+        separation = _push_out(block, link, link + at.ROOM, scene.ground, unsolved & both)
         shallow = shallow & (~both | (separation >= box2d.LEAST_SEPARATION))
     return shallow

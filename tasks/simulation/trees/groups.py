@@ -6,7 +6,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
-from tasks.design.genes import N_JOINTS, N_LINKS, Designs
+from tasks.design.genes import Designs
 from tasks.simd.lanes import Block
 from tasks.simulation.box2d import Scene
 from tasks.simulation.fluids import Acting, Rows, push_of
@@ -83,6 +83,7 @@ class Groups:
         self.n_robots = n_members * len(designs)
         self._n_members = n_members
         self._physics, self._parent = physics, designs.parent
+        self._n_links = designs.room
         self.n_lanes = n_lanes
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
@@ -122,8 +123,9 @@ class Groups:
 
     def motor_work(self) -> Float32:
         """Read (n_robots, n_links) work of the joints' motors since it began to be counted [J]."""
-        joints = self.blocks[:, layout.MOTOR_WORK : layout.MOTOR_WORK + N_JOINTS].transpose(0, 2, 1)
-        of_links = np.pad(joints.reshape(-1, N_JOINTS)[: self.n_robots], ((0, 0), (1, 0)))  # the root has no joint
+        n_joints = self._n_links - 1
+        joints = self.blocks[:, layout.MOTOR_WORK : layout.MOTOR_WORK + n_joints].transpose(0, 2, 1)
+        of_links = np.pad(joints.reshape(-1, n_joints)[: self.n_robots], ((0, 0), (1, 0)))  # the root has no joint
         return np.take_along_axis(of_links, self._number_of_link(), axis=1)
 
     def _number_of_link(self) -> Int64:
@@ -134,20 +136,20 @@ class Groups:
 
         The states after each step fill ``trace``, (n_robots, n_steps, n_links, 6).
         """
-        n_rows = 0 if trace is None else self.n_groups * n_steps * layout.N_TRACED
+        n_rows = 0 if trace is None else self.n_groups * n_steps * layout.N_TRACED * self._n_links
         states = Block(n_rows, self.n_lanes) if n_rows else self._no_trace
         with np.errstate(all="ignore"):  # without the compiler, lanes are NumPy arrays and would warn
             advance_kernel(
                 self._block, self.n_groups, scene, self._acting, first_step, n_steps, states, trace is not None
             )
         if trace is not None and n_rows:
-            by_group = states.rows.reshape(self.n_groups, n_steps, 6, N_LINKS, self.n_lanes)
-            by_robot = by_group.transpose(0, 4, 1, 3, 2).reshape(-1, n_steps, N_LINKS, 6)[: self.n_robots]
+            by_group = states.rows.reshape(self.n_groups, n_steps, 6, self._n_links, self.n_lanes)
+            by_robot = by_group.transpose(0, 4, 1, 3, 2).reshape(-1, n_steps, self._n_links, 6)[: self.n_robots]
             trace[:] = np.take_along_axis(by_robot, self._number_of_link()[:, None, :, None], axis=2)
 
     def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps in a medium of one network per member, in a single kernel."""
-        coupling = coupled.couple(networks, self.blocks, self.n_robots, _ROWS, scene.fall)
+        coupling = coupled.couple(networks, self.blocks, self.n_robots, self._n_links, _ROWS, scene.fall)
         with np.errstate(all="ignore"):
             _advance_coupled(
                 self._block, self.n_groups, scene, self._acting, first_step, n_steps, coupling, self._no_trace, False, 1
@@ -156,10 +158,10 @@ class Groups:
     def push(self, medium: Medium) -> None:
         """Add a medium's velocity change to every link, as the reference engine does."""
         states = self._states(*layout.QUANTITIES.values())
-        states = states.reshape(len(layout.QUANTITIES), self._n_members, -1, N_LINKS)
+        states = states.reshape(len(layout.QUANTITIES), self._n_members, -1, self._n_links)
         links = LinkStates(**dict(zip(layout.QUANTITIES, states, strict=True)), parent=self._parent)
         change = medium.velocity_change(links, self._physics)
         velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
         for row, velocity in zip((layout.VX, layout.VY, layout.OMEGA), velocities, strict=True):
-            of_robot = velocity.astype(np.float32).reshape(self.n_robots, N_LINKS)
+            of_robot = velocity.astype(np.float32).reshape(self.n_robots, self._n_links)
             self.blocks.reshape(-1)[self._places + self.n_lanes * row] = of_robot[self._robot_of_lane]

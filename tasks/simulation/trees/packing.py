@@ -1,40 +1,37 @@
 """Packing robots into lanes: constants and initial state of each robot, in the rows of its group's block."""
 
-import itertools
-import math
-from collections.abc import Sequence
-
 import numpy as np
 
 from tasks.arrays import Float32, Int64
+from tasks.compiled import compiled
 from tasks.design.body import kinematic_trees
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import Designs
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
 from tasks.world.physics import Physics
 
 
-def discovery_order(parents: Sequence[int]) -> list[int]:
-    """Return the order in which Box2D's island search (b2World::Solve) finds a robot's links, the root first.
+def discovery_order(parent: Int64) -> Int64:
+    """Return the order in which Box2D's island search (b2World::Solve) finds links; both are (n_designs, n_links).
 
-    The links were created from the last to the root, the joints from the first on.
+    The root comes first. The links were created from the last to the root, the joints from the first on.
     """
-    order, stack = [0], [0]
-    while stack:
-        link = stack.pop()
-        for child in reversed(range(link + 1, N_LINKS)):  # a body lists its joints with the latest first
-            if parents[child] == link:
-                order.append(child)
-                stack.append(child)
+    n_designs, n_links = parent.shape
+    order, stack = np.zeros((n_designs, n_links), np.int64), np.zeros(n_links, np.int64)
+    for design in range(n_designs):
+        n_found, n_stack = 1, 1
+        stack[0] = 0
+        while n_stack > 0:
+            n_stack -= 1
+            link = stack[n_stack]
+            for child in range(n_links - 1, link, -1):  # a body lists its joints with the latest first
+                if parent[design, child] == link:
+                    order[design, n_found] = stack[n_stack] = child
+                    n_found, n_stack = n_found + 1, n_stack + 1
     return order
 
 
-TREES = list(itertools.product((-1,), *(range(link) for link in range(1, N_LINKS))))
-"""All 120 trees that a robot can have, in lexical order of the parents."""
-_ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
-_NUMBER_OF_TREE = np.argsort(_ORDER_OF_TREE, axis=1)
-_TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
-"""parents · weights is the index of a tree in TREES."""
+_discovery_order = compiled(discovery_order, seconds=1)
 
 
 def _inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density: float) -> tuple[Float32, Float32]:
@@ -59,9 +56,8 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
         (n_designs, n_links) the engine's numbers of the links.
     """
     n_designs, (n_groups, _, n_lanes) = len(designs), blocks.shape
-    tree = designs.parent @ _TREE_WEIGHTS
-    order: Int64 = _ORDER_OF_TREE[tree]
-    number: Int64 = _NUMBER_OF_TREE[tree]
+    order: Int64 = _discovery_order(designs.parent)
+    number: Int64 = np.argsort(order, axis=1)
     trees = kinematic_trees(designs, density=physics.link_density)
     length = designs.length_scale.astype(np.float32)
     inverse = _inverse_mass_and_inertia(trees.half_width, trees.half_height, physics.link_density)
@@ -78,16 +74,17 @@ def pack(designs: Designs, physics: Physics, n_members: int, blocks: Float32) ->
     of_links = ordered(*pose, *sizes, *inverse, *masses)
     of_joints = ordered(above, *anchors, impulse)[..., 1:]
     of_parents = np.take_along_axis(of_links[:, 5:7], of_joints[:, :1].astype(np.int64), axis=2)  # of ``inverse``
-    robots = np.zeros((n_designs, layout.N_PACKED), np.float32)
-    for first, end, rows in (
-        (layout.X, layout.VX, of_links[:, :3]),
-        (layout.HALF_WIDTH, layout.PARENT, of_links[:, 3:]),
-        (layout.PARENT, layout.PARENT_INVERSE_MASS, of_joints[:, :1]),
-        (layout.PARENT_INVERSE_MASS, layout.PARENT_ANCHOR, of_parents),
-        (layout.PARENT_ANCHOR, layout.N_PACKED, of_joints[:, 1:]),
+    robots = np.zeros((n_designs, layout.N_PACKED // layout.ROOM, layout.ROOM), np.float32)
+    for first, quantities in (
+        (layout.X, of_links[:, :3]),
+        (layout.HALF_WIDTH, of_links[:, 3:]),
+        (layout.PARENT, of_joints[:, :1]),
+        (layout.PARENT_INVERSE_MASS, of_parents),
+        (layout.PARENT_ANCHOR, of_joints[:, 1:]),
     ):
-        robots[:, first:end] = rows.reshape(n_designs, end - first)
-    robots[:, layout.VERTEX : layout.NORMAL] = NO_VERTEX
+        _, n_quantities, n_rows = quantities.shape
+        robots[:, first // layout.ROOM :][:, :n_quantities, :n_rows] = quantities
+    robots[:, layout.VERTEX // layout.ROOM : layout.NORMAL // layout.ROOM] = NO_VERTEX
     robot = np.minimum(np.arange(n_groups * n_lanes), n_members * n_designs - 1)
     of_lanes = robots[robot % max(n_designs, 1)].reshape(n_groups, n_lanes, layout.N_PACKED)
     blocks[:, : layout.N_PACKED] = of_lanes.transpose(0, 2, 1)

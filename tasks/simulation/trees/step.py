@@ -6,11 +6,14 @@ themselves does not matter, because no contact connects two links; that of joint
 tasks/simulation/motors.py, in the same float32 operations. Everything equals the reference engine to the last bit.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from tasks.compiled import inline
-from tasks.design.genes import N_JOINTS
-from tasks.simd.lanes import Block, any_lane, call, from_row
+from tasks.design.genes import MOST_LINKS
+from tasks.simd.lanes import Block, Mask, any_lane, call, from_row
 from tasks.simd.rotation import sincos
 from tasks.simulation.box2d import Scene, limited
 from tasks.simulation.fluids import Acting, of_group
@@ -31,20 +34,52 @@ def _integrate_position(block: Block, link: int, dt: np.float32) -> None:
     block[at.SIN + link], block[at.COS + link] = sincos(angle)
 
 
-if N_JOINTS != 5:
-    raise NotImplementedError(f"a design has {N_JOINTS} joints, expected 5: each is named in the sweeps below")
+Carried = Any  # what goes through all joints
 
 
+def _in_order(act: Callable[..., Carried], j: int = 0) -> Callable[..., Carried]:
+    """Return a function that lets ``act`` change a value joint by joint, from the jth on.
+
+    Each joint is a constant there: its parent is one of the links before it, among which a loop would have to search.
+    """
+    if j == MOST_LINKS - 1:
+        return inline(_unchanged)
+    others = _in_order(act, j + 1)
+
+    @inline
+    def in_order(carried: Carried, scene: Scene, given: Any) -> Carried:
+        if j >= scene.n_links - 1:
+            return carried
+        return others(act(carried, j, scene, given), scene, given)
+
+    return in_order
+
+
+def _unchanged(carried: Carried, scene: Scene, given: Any) -> Carried:  # noqa: ARG001 (ends what _in_order begins)
+    return carried
+
+
+@_in_order
 @inline
-def _start_joint(groups: Block, n_groups: int, j: int, scene: Scene) -> None:
+def _start_joints(n_groups: int, j: int, scene: Scene, groups: Block) -> int:
     for k in range(n_groups):
         joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene)
+    return n_groups
 
 
+@_in_order
 @inline
-def _sweep_joint(groups: Block, n_groups: int, j: int) -> None:
+def _sweep_joints(n_groups: int, j: int, scene: Scene, groups: Block) -> int:  # noqa: ARG001
     for k in range(n_groups):
         joint.solve_velocity_constraint(from_row(groups, k * at.N_ROWS), j)
+    return n_groups
+
+
+@_in_order
+@inline
+def _correct_joints(solved: Mask, j: int, scene: Scene, given: tuple[Block, Mask]) -> Mask:  # noqa: ARG001
+    block, unsolved = given
+    return solved & joint.solve_position_constraint(block, j, unsolved)
 
 
 @inline
@@ -53,17 +88,9 @@ def _solve_velocities(groups: Block, n_groups: int, scene: Scene, touching: int,
 
     Each joint waits for the result of the one before it; meanwhile the processor works on the other group.
     """
-    _start_joint(groups, n_groups, 0, scene)
-    _start_joint(groups, n_groups, 1, scene)
-    _start_joint(groups, n_groups, 2, scene)
-    _start_joint(groups, n_groups, 3, scene)
-    _start_joint(groups, n_groups, 4, scene)
+    _start_joints(n_groups, scene, groups)
     for _ in range(scene.velocity_iterations):
-        _sweep_joint(groups, n_groups, 0)
-        _sweep_joint(groups, n_groups, 1)
-        _sweep_joint(groups, n_groups, 2)
-        _sweep_joint(groups, n_groups, 3)
-        _sweep_joint(groups, n_groups, 4)
+        _sweep_joints(n_groups, scene, groups)
         if touching == 0:  # afloat, or in the air
             continue
         for k in range(n_groups):
@@ -85,11 +112,7 @@ def _solve_positions(block: Block, scene: Scene, touching: int) -> None:
         for link in range(scene.n_links):
             if touching >> link & 1:
                 solved = solved & contact.solve_position_constraint(block, link, scene, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 0, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 1, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 2, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 3, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 4, unsolved)
+        solved = _correct_joints(solved, scene, (block, unsolved))
         unsolved = unsolved & ~solved
         if not any_lane(unsolved):
             break
@@ -127,8 +150,9 @@ def _end_step(block: Block, scene: Scene, touching: int) -> None:
         _integrate_position(block, link, scene.dt)
     _solve_positions(block, scene, touching)
     divergence = block[at.DIVERGENCE]
-    for row in range(at.N_TRACED):
-        divergence = divergence + 0.0 * block[row]
+    for first in range(0, at.N_TRACED * at.ROOM, at.ROOM):
+        for row in range(first, first + scene.n_links):
+            divergence = divergence + 0.0 * block[row]
     block[at.DIVERGENCE] = divergence
     if scene.motor_work:
         for j in range(scene.n_links - 1):
@@ -169,7 +193,7 @@ def advance(
     """Step groups of robots.
 
     ``blocks`` holds n_groups groups of N_ROWS rows, one after the other. Step 0 orients the links first. If
-    ``traced``, the states after each step fill the n_groups · n_steps · N_TRACED rows of ``trace``.
+    ``traced``, the states after each step fill the n_groups · n_steps · N_TRACED · n_links rows of ``trace``.
     """
     for group in range(0, n_groups, MAX_GROUPS_AT_ONCE):
         together = from_row(blocks, group * at.N_ROWS)
@@ -182,6 +206,8 @@ def advance(
             if traced:
                 for k in range(n_together):
                     block = from_row(together, k * at.N_ROWS)
-                    states = from_row(trace, ((group + k) * n_steps + step) * at.N_TRACED)
-                    for row in range(at.N_TRACED):
-                        states[row] = block[row] + block[at.DIVERGENCE]
+                    states = from_row(trace, ((group + k) * n_steps + step) * at.N_TRACED * scene.n_links)
+                    for quantity in range(at.N_TRACED):
+                        for link in range(scene.n_links):
+                            state = block[quantity * at.ROOM + link] + block[at.DIVERGENCE]
+                            states[quantity * scene.n_links + link] = state
