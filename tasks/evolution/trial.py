@@ -87,7 +87,8 @@ def evolve(
         designs = Designs.concatenate([children.designs for children in asked])
         evaluations = _split_by_trial(evaluate(designs), asked)
         for i, (children, evaluation, rng) in enumerate(zip(asked, evaluations, rngs, strict=True)):
-            told = search.tell(populations[i], children, evaluation, rng)
+            before = populations[i] if len(populations[i].table) else populations[i]._replace(table=children.table[:0])
+            told = search.tell(before, children, evaluation, rng)
             populations[i] = told._replace(controller=children.controller)
             generations[i].append((children, evaluation, populations[i]))
     return [

@@ -9,8 +9,21 @@ from hypothesis import strategies as st
 from scipy import stats
 from varied_designs import BODY, NO_REWIRING, binomial_interval, canonical, is_canonical, mutations, numbers, seeds
 
-from tasks.design import GENES, N_LINKS, Designs, Mutation, check, crossover, jittered, mutate, random_designs
+from tasks.design import (
+    GENES,
+    N_LINKS,
+    Designs,
+    LinkLimits,
+    Morphology,
+    Mutation,
+    check,
+    crossover,
+    jittered,
+    mutate,
+    random_designs,
+)
 from tasks.design.genes import N_GENES
+from tasks.simulation import simulate
 
 sizes = st.integers(0, 40)
 CONTROL = tuple(gene.name for gene in GENES if gene.part == "control")
@@ -158,3 +171,34 @@ def test_jitter_moves_every_joint_by_its_shift_and_none_out_of_bounds(n: int, se
         expected = {"child_attachment": 0.1, "rest_angle": 0.01}.get(name, 0.0)
         np.testing.assert_allclose(shift[:, 1:] if array.ndim == 2 else shift, expected, atol=1e-12)
         assert array.ndim == 1 or not shift[:, 0].any()
+
+
+@pytest.mark.parametrize("n_actuated", [None, 1])
+@pytest.mark.parametrize("controller", ["open_loop", "reflex"])
+def test_designs_of_2_to_12_links_vary_within_their_limits(n_actuated: int | None, controller: str) -> None:
+    rng = np.random.default_rng(5)
+    morphology = Morphology(n_links=LinkLimits(least=2, most=12), n_actuated=n_actuated)
+    designs = random_designs(200, rng, morphology=morphology, controller=controller)
+    assert set(designs.n_links) == set(range(2, 13))
+    changed = mutate(designs, rng, morphology=morphology, mutation=Mutation(resizing=1.0))
+    crossed = crossover(changed, changed[::-1], rng, morphology=morphology)
+    for varied in (designs, changed, crossed):
+        check(varied)
+        assert n_actuated is None or (varied.motor_on.sum(axis=1) == n_actuated).all()
+    steps = changed.n_links - designs.n_links
+    inner = (designs.n_links > 2) & (designs.n_links < 12)
+    assert set(steps[inner]) == {-1, 1} and steps[designs.n_links == 2].min() == 0 == steps[designs.n_links == 12].max()
+    parents = np.stack((changed.n_links, changed.n_links[::-1]))
+    assert (crossed.n_links == parents).any(axis=0).all() and (crossed.n_links != parents).any(axis=1).all()
+    assert len(mutate(designs, rng)) == 200 and (mutate(designs, rng).n_links == designs.n_links).all()
+
+
+def test_designs_of_all_sizes_are_simulated_as_if_alone() -> None:
+    rng = np.random.default_rng(6)
+    designs = random_designs(6, rng, morphology=Morphology(n_links=LinkLimits(least=2, most=9)))
+    together = simulate(designs, "dry_land", n_settle=2, n_measure=8, trace=True)
+    for k in range(len(designs)):
+        alone = simulate(designs[k], "dry_land", n_settle=2, n_measure=8, trace=True)
+        assert alone.trace.shape == (1, 10, designs.n_links[k], 6) and alone.displacement == together.displacement[k]
+        np.testing.assert_array_equal(alone.trace[0], together.trace[k, :, : designs.n_links[k]])
+        assert np.isnan(together.trace[k, :, designs.n_links[k] :]).all()
