@@ -22,9 +22,9 @@ from tasks.evolution.search import Arrays, Children, Population, Search, registe
 from tasks.parameters import Parameters
 
 
-def x_of(controller: str) -> tuple[Int64, Bools]:
+def x_of(controller: str, n_links: int) -> tuple[Int64, Bools]:
     """Return where the vector of a design has x, the numbers of its controller, and which of them are angles."""
-    of = table_of(controller)
+    of = table_of(controller, n_links)
     varies = [gene is not None and gene.part == "control" and gene.kind != "flag" for gene in of.gene_of_column]
     x = np.flatnonzero(np.array(varies)[of.reals])
     return x, of.columns.is_angle[of.reals[x]]
@@ -69,15 +69,16 @@ class CmaEs(Parameters):
 
     def tell(self, population: Population, children: Children, evaluation: Evaluation, rng: Generator) -> Population:
         """Return the best design so far, and the distribution moved towards the better half of the children."""
-        places, is_angle = x_of(population.controller)
-        fitness, x = evaluation.fitness, children.designs.to_vector()[:, places]
-        best, n = [int(fitness.argmax())], len(places)
+        fitness = evaluation.fitness
+        best = [int(fitness.argmax())]
         after = population._replace(n_evaluated=population.n_evaluated + self.population_size)
         if population.extra:
+            x, is_angle = _controllers(children.designs)
             after = after._replace(extra=self._moved(after, x[np.argsort(-fitness, kind="stable")], is_angle))
         elif np.isfinite(fitness[best]):
-            first = {"m": x[best[0]], "sigma": np.array([self.step]), "C": np.eye(n)}
-            after = after._replace(extra={**first, "p_sigma": np.zeros(n), "p_c": np.zeros(n)})
+            (m,), _ = _controllers(children.designs[best])
+            first = {"m": m, "sigma": np.array([self.step]), "C": np.eye(len(m))}
+            after = after._replace(extra={**first, "p_sigma": np.zeros(len(m)), "p_c": np.zeros(len(m))})
         if fitness[best] > population.fitness.max(initial=-np.inf):
             after = after._replace(table=children.table[best], fitness=fitness[best], identity=children.identity[best])
         return after
@@ -125,10 +126,18 @@ def _folded(x: Float64, is_angle: Bools) -> Float64:
     return np.where(is_angle, x % 1, 1 - np.abs(1 - x % 2))
 
 
+def _controllers(designs: Designs) -> tuple[Float64, Bools]:
+    """Return the (n_designs, n) x of designs with equally many links, and which of the numbers are angles."""
+    compact = designs.compact()
+    places, is_angle = x_of(designs.controller, compact.room)
+    return compact.to_vector()[:, places], is_angle
+
+
 def _with_controllers(body: Designs, x: Float64) -> DesignTable:
     """Return (n_designs, n_columns) designs with the body and motors of one and the controllers (n_designs, n) x."""
-    (places, is_angle), reals = x_of(body.controller), table_of(body.controller).reals
-    vector, table = (np.repeat(each, len(x), axis=0) for each in (body.to_vector(), body.table))
+    own = body.compact()
+    (places, is_angle), reals = x_of(own.controller, own.room), table_of(own.controller, own.room).reals
+    vector, table = (np.repeat(each, len(x), axis=0) for each in (own.to_vector(), own.table))
     vector[:, places] = _folded(x, is_angle)
-    table[:, reals[places]] = Designs.from_vector(vector, body.controller).table[:, reals[places]]
-    return table
+    table[:, reals[places]] = Designs.from_vector(vector, own.controller).table[:, reals[places]]
+    return Designs.from_table(table, own.controller).with_room(body.room).table

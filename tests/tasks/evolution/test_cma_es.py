@@ -3,11 +3,12 @@
 import numpy as np
 from trials import run
 
-from tasks.design import GENES, Designs
+from tasks.design import GENES, Designs, Morphology
+from tasks.design.morphology import LinkLimits
 from tasks.evolution import Evaluation
 from tasks.evolution.cma_es import CmaEs, x_of
 
-X, IS_ANGLE = x_of("open_loop")
+X, IS_ANGLE = x_of("open_loop", 6)
 
 
 def test_it_converges_on_an_optimum_around_the_corner() -> None:
@@ -29,3 +30,13 @@ def test_it_converges_on_an_optimum_around_the_corner() -> None:
     for name in ("parent", "motor_on", *(gene.name for gene in GENES if gene.part == "body")):
         fixed = history[name][~first]
         assert (fixed == fixed[0]).all() and (history[name][first] == fixed[0]).all(axis=1).sum() == 1, name
+
+
+def test_it_keeps_the_number_of_links_of_its_body() -> None:
+    """Of 2 to 9; the first generation has designs of all numbers."""
+    population, history = run(
+        [4], CmaEs(population_size=16), morphology=Morphology(n_links=LinkLimits(least=2, most=9))
+    )
+    n_links = 1 + (history["parent"] >= 0).sum(axis=1)
+    first = history["generation"] == 0
+    assert len(set(n_links[first])) > 4 and set(n_links[~first]) == set(population.designs.n_links)
