@@ -40,7 +40,7 @@ class LinkLimits(Parameters):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.least > self.most:
-            raise ValueError(f"least is {self.least} and most is {self.most}: expected at most as many at least")
+            raise ValueError(f"least is {self.least}, expected at most {self.most}, which is most")
         return self
 
 
@@ -92,8 +92,8 @@ class Morphology(MorphologyRules):
     def _has_enough_joints(self) -> Self:
         if (self.n_actuated or 0) >= self.n_links.least:
             raise ValueError(
-                f"n_actuated is {self.n_actuated}, but n_links.least is {self.n_links.least}, links of "
-                f"{self.n_links.least - 1} joints: expected at most as many motors as joints"
+                f"n_actuated is {self.n_actuated}, expected less than n_links.least, {self.n_links.least}: a joint for "
+                "each motor"
             )
         return self
 
