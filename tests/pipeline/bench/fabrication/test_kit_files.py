@@ -55,7 +55,7 @@ GOOD = calibration_yaml(CALIBRATION, "good").decode()
         (("centre_us: 1500", "center_us: 1500"), "center_us: unknown setting; did you mean servos[0].centre_us?"),
         (("channel: 7", "channel: 0"), "channel 0 appears twice"),
         (("direction: -1", "direction: 0"), "servos[1].direction"),
-        ({"joints": [2, 9]}, "joints.1: Input should be less than 6"),
+        ({"joints": [2, 19]}, "joints.1: Input should be less than 12"),
         ({"joints": [2]}, "angles have shape (50, 2), expected (n_frames, 1)"),
         ({"angle": [[0.0], [0.0, 1.0]]}, "angle: "),
         ({"angle": [[0.0], ["up"]]}, "angle.1.0: Input should be a valid number"),
