@@ -55,8 +55,8 @@ def check(settings: Settings) -> None:
     n_motors, limits = settings.evolution.morphology.n_actuated, settings.design.n_links
     if (n_motors or 0) >= limits.least:
         raise ValueError(
-            f"evolution.morphology.n_actuated is {n_motors}, expected less than design.n_links.least, {limits.least}: a "
-            "joint for each motor"
+            f"evolution.morphology.n_actuated is {n_motors}, expected less than design.n_links.least, {limits.least}: "
+            "a joint for each motor"
         )
     _check_objective(settings)
     _check_learners(settings)

@@ -88,12 +88,19 @@ def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
 
 @inline
 def _share_store(grid: Grid, water: Water) -> None:
-    """Let the water over y = 0 move like the water right below it; where there is none, all is given to that."""
+    """Let the water over y = 0 move like the water right below it; in a trough there is none.
+
+    What flows up through y = 0 there, or down, is water that the grid has and the flume has not; it has the velocity of
+    the water right below, and no memory.
+    """
     for i in range(len(water.rise)):
-        cells = max((water.rise[i - 1] + water.rise[i]) / (2.0 * grid.spacing), 0.0)
-        given = (water.store[i] - cells * water.u[i, -1]) / (1.0 + cells)
-        water.u[i, -1] += given
-        water.store[i] -= given
+        cells = (water.rise[i - 1] + water.rise[i]) / (2.0 * grid.spacing)
+        if cells > 0.0:
+            given = (water.store[i] - cells * water.u[i, -1]) / (1.0 + cells)
+            water.u[i, -1] += given
+            water.store[i] -= given
+        else:
+            water.store[i] = 0.0
 
 
 def _carry(grid: Grid, water: Water) -> None:

@@ -62,13 +62,14 @@ class Flumes:
         )
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (that of the start)
-        """Take a step in every flume, but in those of robots whose states are not finite."""
+        """Take a step in every flume but those of diverged robots; where the water has diverged, changes are NaN."""
         angle = np.arctan2(links.sin, links.cos)
         states = np.stack((links.x, links.y, angle, links.vx, links.vy, links.omega), axis=-2).astype(np.float64)
         changes = np.zeros((3, *links.y.shape), links.y.dtype)
         for world, flume in self._flumes.items():
             if np.isfinite(states[world]).all():
-                changes[(slice(None), *world)] = flume.step(*states[world])
+                change = flume.step(*states[world])
+                changes[(slice(None), *world)] = change if np.isfinite(flume.water.rise).all() else np.nan
         return VelocityChange(*changes)
 
 
