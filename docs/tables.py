@@ -249,6 +249,15 @@ def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
         yield study["label"], gains[-1][1].values.mean(), *(share_of(*gain) if len(gain[0]) else None for gain in gains)
 
 
+@table(text("evolved in"), metres("predicted"), metres("true"), text("by robot [m]"))
+def in_the_fluid(study: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate how far the champions of each arm go."""
+    for name in dict.fromkeys(row["environment"] for row in study["champions"]):
+        rows = [row for row in study["champions"] if row["environment"] == name]
+        true = [row["zero_shot"] for row in rows]
+        yield _label(name), fmean(row["predicted"] for row in rows), fmean(true), ", ".join(f"{x:.1f}" for x in true)
+
+
 @table(
     text("depth [m]", "{:g}"),
     text("robots of"),

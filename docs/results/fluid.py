@@ -1,7 +1,7 @@
 """Validate the fluid where tests would take minutes: drag, and robots at half the spacing. See docs/fluid.md.
 
 .venv/bin/python docs/results/fluid.py drag
-.venv/bin/python docs/results/fluid.py robots
+.venv/bin/python docs/results/fluid.py robots      # those of `puddle study --preset fluid`, in ./store
 """
 
 import sys
@@ -9,6 +9,7 @@ import sys
 import numpy as np
 
 import puddle
+from tasks.design import Designs
 from tasks.fluid import Flume
 from tasks.world.fluid import FluidFlume
 
@@ -37,8 +38,10 @@ def drag(length_scale: float, spacing: float, length: float, depth: float, durat
 
 
 def robots() -> None:
-    """Print displacements of ten published champions at 4 m, at both spacings, and their correlation."""
-    champions = puddle.open_designs("docs/champions.parquet")[np.arange(10) * 55]
+    """Print displacements of the study's champions at 4 m, at both spacings, and their correlation."""
+    study = puddle.open_study("fluid")
+    places = [(row["environment"], row["trial"]) for row in study.champions().to_pylist()]
+    champions = Designs.concatenate([study.champion(name, depth=4.0, trial=trial) for name, trial in places])
     root, whole = [], []
     for spacing in (0.25, 0.125):
         done = puddle.simulate(champions, puddle.Pool(4.0, FluidFlume(spacing=spacing)), n_settle=200, n_measure=600)
