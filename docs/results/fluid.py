@@ -2,13 +2,20 @@
 
 .venv/bin/python docs/results/fluid.py drag
 .venv/bin/python docs/results/fluid.py robots      # those of `puddle study --preset fluid`, in ./store
+.venv/bin/python docs/results/fluid.py film        # the best two of them, to docs/fluid.gif
 """
 
 import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import puddle
+from pipeline.report.films import render_gif
+from pipeline.report.palette import LOOKS, OTHERS
+from pipeline.report.replay import replay_of
 from tasks.design import Designs
 from tasks.fluid import Flume
 from tasks.world.fluid import FluidFlume
@@ -51,8 +58,26 @@ def robots() -> None:
     print("R of the root and of the whole robot", np.corrcoef(root)[0, 1], np.corrcoef(whole)[0, 1])
 
 
+def film() -> None:
+    """Film the best robot that evolved in the fluid, and the best under networks that learned of it."""
+    study, pool = puddle.open_study("fluid"), puddle.Pool(4.0, FluidFlume())
+    best: dict[str, Any] = {}
+    for row in study.champions().to_pylist():
+        if row["environment"] not in best or row["zero_shot"] > best[row["environment"]]["zero_shot"]:
+            best[row["environment"]] = row
+    replays = []
+    for name, title in (("fluid", "Evolved in the fluid"), ("wetted", "Evolved under networks that learned of it")):
+        design = study.champion(name, depth=4.0, trial=best[name]["trial"])
+        trace = puddle.simulate(design, pool, n_settle=200, n_measure=600, trace=True).trace[0]
+        seen = replay_of(design, trace, pool, title=title, seen_in="a fluid", n_settle=200)
+        replays.append(replace(seen, color=(LOOKS.get(name) or OTHERS[0]).color))
+    Path("docs/fluid.gif").write_bytes(render_gif(replays))
+
+
 if sys.argv[1:] == ["robots"]:
     robots()
+elif sys.argv[1:] == ["film"]:
+    film()
 else:
     print("square, 0.25 m ", drag(1.0, 0.25, 24.0, 8.0, 40.0))
     print("plate, 0.25 m  ", drag(2.0, 0.25, 24.0, 12.0, 25.0))

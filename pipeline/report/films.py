@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
@@ -24,14 +25,17 @@ from scipy.signal import savgol_filter
 from pipeline.report.drawing import DASHED, FAINT, INK
 from pipeline.report.replay import FILM_FPS, Replay, link_corners
 from tasks.arrays import Float64
+from tasks.world.medium import Scene
 
 PICTURE_WIDTH = 640  # width of a picture [pixel]; multiples of 128 leave an MP4's planes without padding
 LANE_HEIGHT = 240  # height of each robot's part of the picture [pixel]
 CAPTION_HEIGHT = 44  # of which its caption takes the top [pixel]
 GIF_EVERY = 3  # a GIF has every third picture: it counts time in hundredths of a second, and pictures add to its size
-SKY, SLUSH, SURFACE, GROUND, GROUND_EDGE = "#f5f8fb", "#bcd9ee", "#5d9fcd", "#8b7d6b", "#5f5446"
+SKY, SLUSH, SURFACE, PARTICLE = "#f5f8fb", "#bcd9ee", "#5d9fcd", "#3c7fb5"
+GROUND, GROUND_EDGE = "#8b7d6b", "#5f5446"
 
 _DPI = 100
+_BODY_OF_WATER = (0, 1.0), (4, 0.45)  # order and opacity: behind the robot and, paler, before it
 _MARGIN = 0.6  # space above and below what the robot reaches [m]
 _VIEW_HEIGHT = (5.5, 15.0)  # least and greatest height that a lane shows [m]
 _MOST_COLORS = 32  # of a GIF
@@ -117,8 +121,9 @@ def _lane(
     # Whole pixels only, so that scenery keeps its edges from frame to frame and the file stays small.
     middle, bottom = (np.rint(place * metre) / metre for place in (center[:, 0], bottom))
 
-    if replay.has_medium:
-        for order, opacity in ((0, 1.0), (4, 0.45)):  # behind the robot and, paler, before it
+    flow = _water(axes, replay.scenes, half) if replay.scenes else None
+    if replay.has_medium and not flow:
+        for order, opacity in _BODY_OF_WATER:
             axes.axhspan(-1e4, 0, color=SLUSH, alpha=opacity, lw=0, zorder=order)
         axes.axhline(0, color=SURFACE, lw=1.5, ls=DASHED if replay.hallucinated else "-", zorder=5)
     axes.axhspan(-1e4, -replay.depth, color=GROUND, lw=0, zorder=6)
@@ -160,6 +165,8 @@ def _lane(
     clock = caption(0.985, 1, "", color=INK, size=9, ha="right")
 
     def move(frame: int, time: float) -> None:
+        if flow:
+            flow(min(round(time * replay.fps), len(replay.scenes) - 1), middle[frame])
         axes.set(xlim=(middle[frame] - half, middle[frame] + half), ylim=(bottom[frame], bottom[frame] + height))
         links.set_verts(corners[frame])
         joint.set_data(joints[0][frame], joints[1][frame])
@@ -168,6 +175,30 @@ def _lane(
         clock.set_text(f"{min(time, replay.duration):.1f} s")
 
     return move
+
+
+def _water(axes: Axes, scenes: Sequence[Scene], half: float) -> Callable[[int, float], None]:
+    """Add water with waves and particles to a lane; return what moves it to a scene, seen within half a width [m]."""
+    bodies = [
+        PolyCollection([], facecolors=SLUSH, alpha=opacity, lw=0, zorder=order) for order, opacity in _BODY_OF_WATER
+    ]
+    for body in bodies:
+        axes.add_collection(body, autolim=False)
+    (edge,) = axes.plot([], [], color=SURFACE, lw=1.5, zorder=5)
+    (dots,) = axes.plot([], [], ".", color=PARTICLE, ms=3.5, mew=0, zorder=1)
+
+    def flow(number: int, middle: float) -> None:
+        surface, particles, period = scenes[number]
+        x = np.linspace(middle - half, middle + half, PICTURE_WIDTH // 4 + 1)
+        y = np.interp(x, surface[:, 0], surface[:, 1], period=period)
+        for body in bodies:
+            body.set_verts([[(x[0], -1e4), *zip(x, y, strict=True), (x[-1], -1e4)]])
+        edge.set_data(x, y)
+        seen = particles[:, 0] + period * np.arange(-np.ceil(half / period), np.ceil(half / period) + 1)[:, None]
+        seen -= period * np.round((particles[:, 0] - middle) / period)
+        dots.set_data(seen, np.broadcast_to(particles[:, 1], seen.shape))
+
+    return flow
 
 
 RENDERERS = {".gif": render_gif, ".mp4": render_mp4}  # by the ending of the file

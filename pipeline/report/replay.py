@@ -5,6 +5,7 @@ frames per second.
 """
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +15,18 @@ import numpy.typing as npt
 from tasks.arrays import Float64, Floats, Int64
 from tasks.design import Designs
 from tasks.simulation import Rollouts
+from tasks.simulation.scenes import scenes_along
 from tasks.world import Environment, Physics
+from tasks.world.medium import Scene
 
 STEPS_PER_SECOND = 60  # steps per second of a trace with the paper's time step
 STEPS_PER_FRAME = 2
 FILM_FPS = STEPS_PER_SECOND // STEPS_PER_FRAME  # pictures per second of a film: every frame of a replay
 
 QUANTUM = 1e-3  # step of the encoded coordinates [m and rad]; the page is within half of it of the trace
+
+
+_PHYSICS = Physics()
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +42,7 @@ class Replay:
     parent: Int64  # (n_links,) index of each link's parent, -1 for the root
     parent_attachment: Float64  # (n_links,) position of the joint on the parent's long axis [half heights]
     frames: Float64  # (n_frames, n_links, 3) x, y [m], angle [rad]
+    scenes: Sequence[Scene] = ()  # n_frames of the medium, if it shows more than a level surface
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME  # frames per second
     environment: str = ""  # where the design evolved; "" if unknown
     disagreement: Float64 | None = None  # (n_frames, n_links) of the members of an ensemble [m/s²]; NaN where unknown
@@ -104,7 +111,7 @@ def replay_of(
     seen_in: str,
     n_settle: int,
     hallucinated: bool = False,
-    time_step: float = Physics().time_step,
+    physics: Physics = _PHYSICS,
 ) -> Replay:
     """Return the replay of a design from a finite (n_steps, n_links, 6) trace, without ``n_settle`` steps at the start.
 
@@ -120,7 +127,8 @@ def replay_of(
         parent=design.parent[0],
         parent_attachment=design.parent_attachment[0],
         frames=at_frames(trace[..., :3], n_settle),
-        fps=1 / (STEPS_PER_FRAME * time_step),
+        scenes=scenes_along(design, trace, environment, physics)[max(n_settle - 2, 0) :: STEPS_PER_FRAME],
+        fps=1 / (STEPS_PER_FRAME * physics.time_step),
     )
 
 

@@ -62,6 +62,6 @@ def film(
         seen_in="air" if environment.medium is None else type(environment.medium).__name__,
         n_settle=n_settle,
         hallucinated=isinstance(environment, ResidualSlush),
-        time_step=physics.time_step,
+        physics=physics,
     )
     disk.write(path, RENDERERS[path.suffix]([replay]))

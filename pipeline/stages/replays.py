@@ -158,6 +158,6 @@ def replay_in(
         seen_in=kind.label if member is None else f"{kind.label} (member {member if number is None else number})",
         n_settle=n_settle,
         hallucinated=kind.learned,
-        time_step=physics.time_step,
+        physics=physics,
     )
     return replace(replay, command=kind.name if member is None or number is None else "", disagreement=doubts)

@@ -10,7 +10,8 @@ Entry i of a trace is the state after step i, so predictions from it belong to s
 import numpy as np
 
 from tasks.arrays import Float32, Floats
-from tasks.design import Designs, kinematic_trees
+from tasks.design import Designs
+from tasks.simulation.scenes import links_along
 from tasks.world import EnsembleMedium, LinkStates, Physics
 
 
@@ -27,12 +28,9 @@ def disagreement_along(designs: Designs, trace: Floats, ensemble: EnsembleMedium
     Returns:
         (n_designs, n_steps, n_links) deviations over the members [m/s²].
     """
-    trees = kinematic_trees(designs, density=physics.link_density)
-    bodies = (array.astype(trace.dtype)[:, None] for array in (designs.length_scale, trees.mass, trees.inertia))
-    x, y, angle, vx, vy, omega = np.moveaxis(trace, -1, 0)
-    shape = (ensemble.n_members, *y.shape)
-    states = (*bodies, y, np.cos(angle), np.sin(angle), vx, vy, omega, x)
-    links = LinkStates(*(np.broadcast_to(array, shape) for array in states))
+    along = vars(links_along(designs, trace, physics))
+    shape = (ensemble.n_members, *trace.shape[:-1])
+    links = LinkStates(**{name: np.broadcast_to(array, shape) for name, array in along.items()})
     change = ensemble.velocity_change(links, physics)
     predicted = np.stack((change.vx, change.vy, change.omega)).astype(np.float64) / physics.time_step
     ax, ay, alpha = predicted.std(axis=1).astype(np.float32).astype(np.float64)

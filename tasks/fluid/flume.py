@@ -7,6 +7,7 @@ or a window that follows. A robot that goes around it meets its own wake.
 # mypy: warn-return-any=False
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from tasks.arrays import Float64
 from tasks.compiled import compiled, inline
@@ -139,6 +140,35 @@ class Flume:
         grid, links, water = self.grid, self.links, self.water
         order = cell_order(len(water.rise), round(links.pose[:, 0].mean() / grid.spacing))
         project(grid, links, water, self.cover, order, self._number, band, is_known)
+
+    @property
+    def length(self) -> float:
+        """Around the flume [m]."""
+        return len(self.water.rise) * self.grid.spacing
+
+    @property
+    def surface(self) -> Float64:
+        """(n_columns, 2) x, y of the surface [m]."""
+        rise = self.water.rise
+        return np.stack(((np.arange(len(rise)) + 0.5) * self.grid.spacing, rise), axis=1)
+
+    def places(self, every: float) -> Float64:
+        """Return (n_places, 2) x, y over all of the water, in rows at a distance [m], every other one shifted."""
+        y, x = np.mgrid[self.grid.floor + every / 2 : 0.0 : every, 0.0 : self.length : every]
+        x += every / 2 * (np.arange(len(x)) % 2)[:, None]
+        return np.stack((x.ravel(), y.ravel()), axis=1)
+
+    def carried(self, places: Float64) -> Float64:
+        """Return where what floats at (n_places, 2) x, y [m] is a step later; it stays between floor and surface."""
+        (x, y), (grid, water) = places.T, (self.grid, self.water)
+        n_rows, column, row = water.u.shape[1], x / grid.spacing, (y - grid.floor) / grid.spacing
+        at_u, at_v = (column, np.clip(row - 0.5, 0, n_rows - 1)), (column - 0.5, np.clip(row, 0, n_rows))
+        u = map_coordinates(water.u, at_u, order=1, mode="grid-wrap")
+        v = map_coordinates(water.v, at_v, order=1, mode="grid-wrap")
+        x = x + grid.time_step * u
+        surface = self.surface
+        top = np.interp(x, surface[:, 0], surface[:, 1], period=self.length)
+        return np.stack((x, np.clip(y + grid.time_step * v, grid.floor, top)), axis=1)
 
     def step(
         self, x: Float64, y: Float64, angle: Float64, vx: Float64, vy: Float64, omega: Float64

@@ -7,15 +7,18 @@ Nobody wrote it as a function of a link's state, so it is a target that networks
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from pydantic import Field
 
 from tasks.fluid import Flume
 from tasks.parameters import Parameters
-from tasks.world.medium import LinkStates, VelocityChange
+from tasks.world.medium import LinkStates, Scene, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import register_medium
+
+_PARTICLES = 0.5  # distance of the particles that films show [m]
 
 
 class FluidFlume(Parameters):
@@ -37,6 +40,16 @@ class FluidFlume(Parameters):
         """Return still water around designs."""
         return Flumes(self, links, physics, depth)
 
+    def scenes(self, states: Sequence[LinkStates], physics: Physics, depth: float) -> Iterator[Scene]:
+        """Return the surface and particles of the water after each step around the links of one design."""
+        water = self.start(states[0], physics, depth)
+        for flume in water.flumes.values():  # none on dry land
+            particles = flume.places(every=_PARTICLES)
+            for links in states:
+                water.velocity_change(links, physics)
+                particles = flume.carried(particles)
+                yield Scene(flume.surface, particles, flume.length)
+
 
 class Flumes:
     """A flume for each member and design."""
@@ -44,7 +57,7 @@ class Flumes:
     def __init__(self, fluid: FluidFlume, links: LinkStates, physics: Physics, depth: float) -> None:
         thrown = math.isinf(depth)
         is_dry = depth < fluid.spacing / 2
-        self._flumes = (
+        self.flumes = (
             {}
             if is_dry
             else {
@@ -66,7 +79,7 @@ class Flumes:
         angle = np.arctan2(links.sin, links.cos)
         states = np.stack((links.x, links.y, angle, links.vx, links.vy, links.omega), axis=-2).astype(np.float64)
         changes = np.zeros((3, *links.y.shape), links.y.dtype)
-        for world, flume in self._flumes.items():
+        for world, flume in self.flumes.items():
             if np.isfinite(states[world]).all():
                 change = flume.step(*states[world])
                 changes[(slice(None), *world)] = change if np.isfinite(flume.water.rise).all() else np.nan

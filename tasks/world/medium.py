@@ -7,9 +7,10 @@ A medium with memory, such as a fluid that moves with the links, has a method ``
 """
 
 from abc import abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +80,22 @@ class MediumWithMemory(Protocol):
 
         It is asked once in every step. What it remembers of a design must not depend on the others.
         """
+        ...
+
+
+class Scene(NamedTuple):
+    """What films show of a medium at a time; it repeats itself along x."""
+
+    surface: Float64  # (n_points, 2) x, y [m], along x
+    particles: Float64  # (n_particles, 2) x, y of what goes with the medium [m]
+    period: float  # [m]
+
+
+class VisibleMedium(Protocol):
+    """A medium of which films show more than a level surface."""
+
+    def scenes(self, states: Sequence[LinkStates], physics: Physics, depth: float) -> Iterator[Scene]:
+        """Return what is seen of it after each step, given the links of one design at the starts of the steps."""
         ...
 
 

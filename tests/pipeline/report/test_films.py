@@ -14,6 +14,7 @@ from pipeline.report.films import (
     GIF_EVERY,
     GROUND,
     LANE_HEIGHT,
+    PARTICLE,
     PICTURE_WIDTH,
     SKY,
     SLUSH,
@@ -24,6 +25,7 @@ from pipeline.report.films import (
 )
 from pipeline.report.palette import LOOKS
 from pipeline.report.replay import FILM_FPS, link_corners
+from tasks.world.medium import Scene
 
 pytestmark = pytest.mark.slow
 
@@ -57,6 +59,20 @@ def test_slush_lies_over_the_robot(slush_replay):
     color = LOOKS["dry_land"].color
     picture = next(pictures([replace(slush_replay, frames=frames, length_scale=np.full(6, 2.0), color=color)]))
     assert count(picture, color) > 100 < count(picture, blend(color, SLUSH, 0.45), 2)
+
+
+def test_water_shows_its_waves_and_particles(slush_replay):
+    """A trough of 1 m on the left half and a crest on the right, of a flume that is narrower than the picture."""
+    x = np.linspace(-4, 4, 81)
+    waves = Scene(np.stack((x, np.sign(x)), axis=1), np.array([[0.0, -1.8], [2.0, -1.8]]), 8.0)
+    frames = np.tile([0.0, 6.0, 0.0], (3, 6, 1))
+    picture = next(pictures([replace(slush_replay, frames=frames, depth=9.0, scenes=[waves] * 3)]))
+    trough, crest = (
+        count(picture.crop((left, 0, left + 10, LANE_HEIGHT)), SLUSH, 3)
+        for left in (PICTURE_WIDTH // 2 + d for d in (-20, 10))
+    )
+    assert crest > trough + 200
+    assert count(picture, blend(PARTICLE, SLUSH, 0.45), 20) > 10
 
 
 def test_hallucinated_slush_has_a_dashed_surface(slush_replay):

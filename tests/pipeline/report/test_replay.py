@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from pipeline.config.settings import RolloutSettings
 from pipeline.report.replay import QUANTUM, encode, replay_of
-from tasks.world import TrueSlush
+from tasks.world import Physics, TrueSlush
 
 WORDS = {"title": "a robot", "seen_in": "True Slush"}
 
@@ -34,7 +34,7 @@ def test_frames_begin_where_the_displacement_is_measured_from(rollout, slush_rep
 
 def test_time_passes_as_in_the_rollout(rollout):
     design, trace, _ = rollout
-    slow = replay_of(design, trace, TrueSlush(2.0), n_settle=60, time_step=0.05, **WORDS)
+    slow = replay_of(design, trace, TrueSlush(2.0), n_settle=60, physics=Physics(time_step=0.05), **WORDS)
     # 180 steps of 0.05 s are measured; two of them make a frame of 0.1 s.
     assert (slow.fps, slow.duration) == (pytest.approx(10.0), pytest.approx(9.0))
     assert (encode(slow)["fps"], encode(slow)["quantum"]) == (slow.fps, QUANTUM)

@@ -55,6 +55,17 @@ class FreeLinks:
         return of_water + of_surface + (links.mass @ (speeds[:, 0] + speeds[:, 1]) + links.inertia @ speeds[:, 2]) / 2
 
 
+def test_particles_go_with_the_water():
+    """A current of 3 m/s carries them around a ring of 4 m, and their rows stay; one that sinks ends on the floor."""
+    flume = Flume(*np.ones((3, 1)), length=4.0, depth=1.0)
+    places = flume.places(0.5)
+    assert len(places) == 16 and (np.diff(np.unique(places[:, 1])) == 0.5).all()
+    flume.water.u[:] = 3.0
+    np.testing.assert_allclose(flume.carried(flume.carried(places)) - places, [[6 * DT, 0.0]] * 16, atol=1e-12)
+    flume.water.v[:] = -30.0
+    assert (flume.carried(places)[:, 1] == np.maximum(places[:, 1] - 30 * DT, -1.0)).all()
+
+
 def test_still_water_is_still():
     """Without a link, and around one that weighs what it displaces, which neither sinks nor turns."""
     links = FreeLinks([2.0], (12.0, -2.0, 0.4), mass=RHO)

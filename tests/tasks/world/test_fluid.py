@@ -6,7 +6,8 @@ import pytest
 import puddle
 from tasks.design import random_designs
 from tasks.residual.throws import Throws, initial_states, simulate_throws
-from tasks.world import Physics, Pool
+from tasks.simulation.scenes import scenes_along
+from tasks.world import Physics, Pool, TrueSlush
 from tasks.world.fluid import FluidFlume
 
 DESIGNS = random_designs(3, np.random.default_rng(7))
@@ -41,6 +42,29 @@ def test_thrown_bars_lose_speed_under_water_and_end_afloat():
     speed = np.hypot(*thrown.state[:, 3:5].T).reshape(4, 200)
     assert np.isfinite(thrown.state).all()
     assert (speed[:, -1] < 0.5 * speed[:, 0].max()).all()
+
+
+def test_films_show_the_water_of_the_rollout():
+    """The water begins a step later, after which links have hardly moved."""
+    kept = []
+
+    class Kept(FluidFlume):
+        def start(self, links, physics, depth):
+            kept.append(super().start(links, physics, depth))
+            return kept[-1]
+
+    medium = Kept(length=8.0)
+    trace = puddle.simulate(DESIGNS[:1], Pool(1.0, medium), **DURATION).trace[0]
+    (_, flume), *_ = kept[0].flumes.items()
+    scenes = scenes_along(DESIGNS[:1], trace, Pool(1.0, medium), Physics())
+    assert len(scenes) == len(trace) - 1
+    surface, particles, period = scenes[-1]
+    assert np.ptp(flume.water.rise) > 0.1 and period == 8.0
+    np.testing.assert_allclose(surface[:, 1], flume.water.rise, atol=0.02)
+    assert (particles[:, 1] >= -1.0).all()
+    assert (particles[:, 1] <= np.interp(particles[:, 0], *surface.T, period=period) + 1e-9).all()
+    assert np.abs(particles - flume.places(0.5)).max() > 0.1
+    assert not scenes_along(DESIGNS[:1], trace, TrueSlush(1.0), Physics())
 
 
 def test_cells_are_narrower_than_links():
