@@ -30,7 +30,7 @@ class PointDrag(Parameters):
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Sum the forces on the cells; a cell is wet over 0.12 m of height."""
         dt, n_cells, shape = physics.time_step, CELLS.shape[1], np.shape(links.y)
-        a, mass, inertia, y, cos, sin, vx, vy, omega = (
+        a, mass, inertia, y, cos, sin, vx, vy, omega, *_ = (
             np.broadcast_to(np.asarray(value), shape).reshape(-1) for value in vars(links).values()
         )
         along, across = CELLS.astype(y.dtype)

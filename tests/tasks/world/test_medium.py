@@ -1,5 +1,8 @@
 """A medium of a user's own: what it returns fits the links, or an error names its file and line."""
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -47,6 +50,15 @@ def test_every_engine_says_so(engine, physics):
     design, home = puddle.random_designs(1, np.random.default_rng(0)), Pool(1.0, medium_of(lambda links: 0.0))
     with pytest.raises(MediumError, match="got float"):
         puddle.simulate(design, home, n_settle=0, n_measure=1, engine=engine, physics=physics)
+
+
+def test_fluids_of_the_published_results_act_on_links_as_they_are_now(monkeypatch):
+    media = {}
+    monkeypatch.setattr("tasks.world.registry.register_medium", lambda name, kind, _: media.setdefault(name, kind()))
+    runpy.run_path(str(Path(__file__).parents[3] / "docs/results/other_fluids.py"))
+    assert len(media) == 4
+    for medium in media.values():
+        assert np.isfinite(change_in(medium, LINKS, Physics()).vy).all()
 
 
 def test_throws_say_so():
