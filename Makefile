@@ -34,8 +34,8 @@ install = if [ -n "$(TORCH_INDEX)" ] || $(PIP) config list | grep -E 'index-url|
 ifneq ($(filter-out cpu cuda,$(TORCH)),)
 $(error TORCH is cpu or cuda, got $(TORCH))
 endif
-ifneq ($(filter-out cad dev docs search server vision,$(EXTRAS)),)
-$(error EXTRAS are cad, dev, docs, search, server and vision, got $(EXTRAS))
+ifneq ($(filter-out cad dev docs mujoco search server vision,$(EXTRAS)),)
+$(error EXTRAS are cad, dev, docs, mujoco, search, server and vision, got $(EXTRAS))
 endif
 
 .DEFAULT_GOAL := help
@@ -44,7 +44,7 @@ endif
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-7s %s\n", $$1, $$2}'
 
-setup: $(INSTALLED) $(EXTRAS:%=$(VENV)/.installed-%) ## install what a study needs (TORCH=cpu or cuda; EXTRAS=cad, dev, docs, search, server, vision)
+setup: $(INSTALLED) $(EXTRAS:%=$(VENV)/.installed-%) ## install what a study needs (TORCH=cpu or cuda; EXTRAS=cad, dev, docs, mujoco, search, server, vision)
 
 # torch comes first and by its exact version: its builds for the CPU and for CUDA differ by gigabytes. TORCH_INDEX is the
 # index that pip takes it from, if not pip's own; torch's page "Get started" has the address of each build's.

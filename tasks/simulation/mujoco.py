@@ -105,7 +105,10 @@ def _imported(physics: Physics) -> Any:
     try:
         import mujoco
     except ModuleNotFoundError:
-        raise EngineError("engine mujoco: expected the package mujoco, which `pip install mujoco` installs") from None
+        raise EngineError(
+            "engine mujoco: mujoco is not installed; run `make setup EXTRAS=mujoco` in the checkout; without a checkout, "
+            "`pip install 'puddle[mujoco]'`"
+        ) from None
     for name, without in _LACKS.items():
         if (value := getattr(physics, name)) != without:
             raise EngineError(f"physics.{name} is {value}, which the engine mujoco lacks: expected {without}")

@@ -72,9 +72,9 @@ def test_a_package_that_is_missing_is_named_before_the_study_begins(tmp_path, mo
     monkeypatch.setitem(sys.modules, "mujoco", None)
     store = tmp_path / "store"
     said = refused(capsys, "study", "--preset", "smoke", "--store", str(store), "--set", BOTH[0])
-    assert "`pip install mujoco` installs" in said and not store.exists()
+    assert "run `make setup EXTRAS=mujoco`" in said and not store.exists()
     said = refused(capsys, "study", "--preset", "smoke", "--store", str(store), "--set", "target=mujoco_fluid")
-    assert "`pip install mujoco` installs" in said and not store.exists()
+    assert "run `make setup EXTRAS=mujoco`" in said and not store.exists()
 
 
 def test_bars_are_thrown_and_robots_scored_in_the_target_s_engine(tmp_path):

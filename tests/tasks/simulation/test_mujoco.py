@@ -64,5 +64,5 @@ def test_physics_that_it_lacks_are_refused(physics, said):
 
 def test_a_package_that_is_not_installed_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(EngineError, match="expected the package mujoco, which `pip install mujoco` installs"):
+    with pytest.raises(EngineError, match="mujoco is not installed; run `make setup EXTRAS=mujoco`"):
         simulate(SWIMMERS, DryLand(0.0), engine="mujoco")
