@@ -106,7 +106,7 @@ def _imported(physics: Physics) -> Any:
         import mujoco
     except ModuleNotFoundError:
         raise EngineError(
-            "engine mujoco: mujoco is not installed; run `make setup EXTRAS=mujoco` in the checkout; without a checkout, "
+            "engine mujoco: mujoco is not installed; run `make setup EXTRAS=mujoco` in the checkout; without one, "
             "`pip install 'puddle[mujoco]'`"
         ) from None
     for name, without in _LACKS.items():
