@@ -165,8 +165,11 @@ class Designs(ArrayData):
             raise DesignError(f"expected every gene, got none for {', '.join(missing)}")
         stored: dict[str, Any] = {name: arrays[name] for name in DTYPES}
         if genes:
-            of_genes = [_converted(gene.name, arrays[gene.name], np.float64) for gene in genes]
-            stored |= {"gains": np.stack(of_genes, axis=1), "controller": names[0]}
+            of_genes = {gene.name: _converted(gene.name, arrays[gene.name], np.float64) for gene in genes}
+            for name, array in of_genes.items():
+                if array.shape != np.shape(stored["phase"]):
+                    raise DesignError(f"designs: {name} has shape {array.shape}, expected that of phase")
+            stored |= {"gains": np.stack(list(of_genes.values()), axis=1), "controller": names[0]}
         return Designs(**stored)
 
     @cached_property

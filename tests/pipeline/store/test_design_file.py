@@ -10,6 +10,7 @@ import pytest
 from pipeline.errors import PuddleError
 from pipeline.store.design_file import design_from, design_json, open_designs
 from tasks.design import random_designs
+from tasks.design.controllers import CONTROLLERS
 
 DESIGNS = random_designs(5, np.random.default_rng(3))
 REFLEX = random_designs(5, np.random.default_rng(3), controller="reflex")
@@ -39,6 +40,9 @@ def test_genes_of_a_controller_are_kept_and_checked(tmp_path):
             open_designs(written(tmp_path, columns))
 
 
+SHORT = r"phase.load has shape \(5, 5\), expected that of phase"
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -53,6 +57,7 @@ def test_genes_of_a_controller_are_kept_and_checked(tmp_path):
         ({name: [] for name in COLUMNS}, "expected at least one design, got none"),
         ({"mine.wet": [[0.0] * 6] * 5}, "controller: expected any of open_loop, .*, got 'mine'"),
         ({"reflex.wet": [[0.0] * 6] * 5}, "expected every gene, got none for reflex.angle, reflex.speed"),
+        ({**{gene.name: [[0.0] * 6] * 5 for gene in CONTROLLERS["phase"].genes}, "phase.load": [[0.0] * 5] * 5}, SHORT),
         ({"reflex.wet": [[0.0] * 6] * 5, "phase.load": [[0.0] * 6] * 5}, "genes of the controllers phase and reflex"),
         ({"design_json": [*DOCUMENTS[:4], design_json(REFLEX[:1]).decode()]}, "controllers open_loop, reflex, exp"),
     ],
