@@ -22,10 +22,12 @@ def main() -> None:
     plt.style.use("pipeline.report.figures")
     studies = json.loads((DOCS / "results" / "curves.json").read_text())["studies"]
     figure, panels = plt.subplots(2, 3, figsize=(10, 6), sharex=True, sharey=True, layout="constrained")
+    ticks: set[int] = set()
     for panel, study in zip(panels.flat, studies, strict=True):
         best = champions_of(study, study["fluid"], "gain", study["depth"])
         learned = {row["environment"] for row in study["champions"]} - {study["fluid"]}
         counts = sorted({int(name.rpartition("_")[2]) for name in learned})
+        ticks |= {*counts}
         for number, (form, (label, colour, marker)) in enumerate(FORMS.items()):
             shares = [share_of(champions_of(study, f"{form}_{n}", "gain", study["depth"]), best) for n in counts]
             value = np.array([one.value for one in shares])
@@ -35,7 +37,7 @@ def main() -> None:
             panel.errorbar(x, value, ends, color=colour, marker=marker, label=label, elinewidth=0.7)
         panel.set_title(f"{study['label']}\nE gains {best.values.mean():.1f} m")
         panel.axhline(1, color="#c9ced6", zorder=0)
-    panels[0, 0].set(xscale="log", ylim=(-0.3, 1.5), xticks=counts, xticklabels=counts)
+    panels[0, 0].set(xscale="log", ylim=(-0.3, 1.5), xticks=sorted(ticks), xticklabels=sorted(ticks))
     panels[0, 0].minorticks_off()
     panels[0, 0].yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
     figure.supxlabel("throws of 200 steps")

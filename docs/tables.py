@@ -210,6 +210,9 @@ def throws(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
         yield f"{n_throws}, {form}", *of_best, _exploiters(by_depth.values(), name)
 
 
+_SHOWN = {25, 100, 500}  # throws of the curves; docs/curves.png has all
+
+
 @table(
     text("fluid"),
     text("throws"),
@@ -223,7 +226,7 @@ def curves(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate shares of what *E* gains in several fluids, by the number of throws and the form of networks."""
     for study in results["studies"]:
         best, learned = champions_of(study, study["fluid"], "gain"), {row["environment"] for row in study["champions"]}
-        for number in sorted({int(name.rpartition("_")[2]) for name in learned - {study["fluid"]}}):
+        for number in sorted({int(name.rpartition("_")[2]) for name in learned - {study["fluid"]}} & _SHOWN):
             names = (f"{form}_{number}" for form in ("law", "both", "wetted", "symmetric", "plain"))
             yield study["label"], number, *(share_of(champions_of(study, name, "gain"), best) for name in names)
 
