@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, environments
-from pipeline.stages.cost import cost_in_numpy, number_of_members
+from pipeline.stages.cost import SECONDS_PER_STEP, cost_in_numpy, number_of_members
 from pipeline.stages.data_sets import AssessmentId
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
@@ -27,7 +27,7 @@ from tasks.world import EnvironmentName
 
 UNMEASURED = "unmeasured on a GPU"
 _STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
-_SECONDS_PER_STEP = {"batch": 0.2e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
+_SECONDS_PER_STEP = {"batch": SECONDS_PER_STEP, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
 _SECONDS_PER_MEMBER_STEP = 0.35e-6  # of one robot under one network, besides the network's arithmetic
 _FLOPS_OF_INFERENCE = 190e9  # per second
 _FLOPS_OF_TRAINING = 70e9  # per second
@@ -181,7 +181,7 @@ def _rollout(settings: Settings, environment: EnvironmentName) -> float:
         engine = "rigid"
     learner = settings.learner(environment)
     if learner is None:
-        in_numpy = cost_in_numpy(settings, environment) * _SECONDS_PER_STEP["batch"]
+        in_numpy = cost_in_numpy(settings, environment) * SECONDS_PER_STEP
         return n_steps * n_members * (_SECONDS_PER_STEP[engine] + in_numpy)
     physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
     flops = learner.network.flops
@@ -204,7 +204,8 @@ def _ensemble_of(chain: Chain[Any]) -> EnvironmentName:
 
 _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
     "collect": lambda settings, chain: (
-        (getattr(chain.spec, "throws", settings.throws).n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
+        (getattr(chain.spec, "throws", settings.throws).n_steps or _STEPS_OF_DESIGNED_THROW)
+        * (_SECONDS_PER_THROW_STEP + cost_in_numpy(settings, settings.target) * SECONDS_PER_STEP)
     ),
     "train": lambda settings, chain: (
         _SECONDS_PER_ITERATION + _flops_of_iteration(chain.spec.network, chain.spec.training) / _FLOPS_OF_TRAINING

@@ -6,6 +6,7 @@ from tasks.simulation.batch import n_that_fill_lanes
 from tasks.simulation.fluids import is_compiled
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
+SECONDS_PER_STEP = 0.2e-6  # of one robot on dry land in the batch engine
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 _OTHER_ENGINE = 1000.0  # approximate cost of a robot's step in MuJoCo, against one in the batch engine
 _CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land
@@ -31,9 +32,13 @@ def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
 
 def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate what a robot's step costs in a medium without a kernel, beside a step on dry land and relative to it."""
-    if settings.work.engine != "batch" or environment not in ENVIRONMENTS:
-        return 0.0  # where the slush is in NumPy, too; or the medium's code is not here
+    if environment not in ENVIRONMENTS:
+        return 0.0  # the medium's code is not here
     home = environment_of(media_of(settings, environment), environment, 0.0)
+    if (seconds := getattr(home.medium, "seconds_per_step", None)) is not None:
+        return float(seconds) / SECONDS_PER_STEP
+    if settings.work.engine != "batch":
+        return 0.0  # the slush is in NumPy there, too
     if ENVIRONMENTS[environment].engine:
         return _OTHER_ENGINE
     if home.medium is None or is_compiled(home.medium):

@@ -1,0 +1,67 @@
+"""Compare robots that sense, and robots of three and nine links, with the paper's: writes controllers.json.
+
+The robots are those of four studies in ./store, two hours on a core each; the paper's are in docs/champions.parquet:
+
+    puddle study --preset desk --set name=reflex --set evolution.controller=reflex --set replicates=5 \
+        --set grid.n_trials=5 --set 'grid.environments=[true_slush,dry_land,designed_throws]' \
+        --set 'grid.depths=[2,9]' --set 'grid.single_member_depths=[]' --set 'transfer.adapted_environments=[]'
+
+and the same with name=phase and evolution.controller=phase, name=links-3 and design.n_links={least: 3, most: 3}, and
+name=links-9 with 9.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+import puddle
+from pipeline.store.design_file import design_from
+from pipeline.store.provenance import environment as provenance
+from tasks.design import motors_off
+
+DOCS = Path(__file__).resolve().parents[1]
+PAPERS = {"True Slush": "true_slush", "Dry Land": "dry_land", "3,400 designed throws": "designed_throws"}
+STUDIES = {"reflex": "`reflex`", "phase": "`phase`", "links-3": "three links", "links-9": "nine links"}
+DEPTHS, N_TRIALS = (9.0, 2.0), 5
+
+
+def scored(row: dict[str, Any]) -> dict[str, Any]:
+    """Score a champion in the slush, in MuJoCo, and in a current of 0.5 m/s, less what it carries off."""
+    design, depth = design_from(row["design_json"].encode(), row["environment"]), row["depth"]
+
+    def displacement(design: puddle.Designs, fluid: str, engine: str = "batch") -> float:
+        return float(puddle.simulate(design, fluid, depth=depth, engine=engine).displacement[0])
+
+    scores = {
+        "zero_shot": displacement(design, "true_slush"),
+        "mujoco": displacement(design, "true_slush", "mujoco"),
+        "current": displacement(design, "flowing_slush") - displacement(motors_off(design), "flowing_slush"),
+    }
+    known = {name: row[name] for name in ("environment", "depth", "trial")}
+    return known | {name: round(score, 4) for name, score in scores.items()}
+
+
+def main() -> None:
+    """Score all champions."""
+    papers = [
+        row | {"environment": PAPERS[row["made_by"]]}
+        for row in pq.read_table(DOCS / "champions.parquet").to_pylist()
+        if row["made_by"] in PAPERS and row["depth"] in DEPTHS and row["trial"] < N_TRIALS
+    ]
+    found = {
+        robots: [row for row in puddle.open_study(name).champions().to_pylist() if row["zero_shot"] is not None]
+        for name, robots in STUDIES.items()
+    }
+    studies = [
+        {"robots": robots, "n_replicates": 5, "champions": [*map(scored, rows)]}
+        for robots, rows in {"six links, open loop": papers, **found}.items()
+    ]
+    results = {"schema": "puddle.controllers", "version": 1, "made_with": dict(provenance()), "studies": studies}
+    text = json.dumps(results, indent=1).replace("\n     ", " ").replace("\n    }", " }")
+    (DOCS / "results" / "controllers.json").write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
