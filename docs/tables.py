@@ -6,6 +6,7 @@ Most are made of results.json of `puddle export`, or list several of those as `s
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -250,6 +251,34 @@ def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
         sides += [(study, name) for name in ("mass", "randomised_slush")]
         gains = [(champions_of(side, name, "gain"), champions_of(side, fluid, "gain")) for side, name in sides]
         yield study["label"], gains[-1][1].values.mean(), *(share_of(*gain) if len(gain[0]) else None for gain in gains)
+
+
+@table(
+    text("depth [m]", "{:g}"),
+    text("robots"),
+    metres("*E*"),
+    share("*Ê\\** of *E*"),
+    share("dry land of *E*"),
+    share("*E* in MuJoCo"),
+    share("*Ê\\** in MuJoCo"),
+    share("*E* in a current"),
+    share("*Ê\\** in a current"),
+)
+def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate what other robots travel: shares of their *E*, and of what each keeps elsewhere of its own."""
+    for depth, study in itertools.product((9.0, 2.0), results["studies"]):
+
+        def of(arm: str, score: str = "zero_shot", study: Results = study, depth: float = depth) -> Sample:
+            return champions_of(study, arm, score, depth)
+
+        if len(best := of("true_slush")):
+            shares = [share_of(of(arm), best) for arm in ("designed_throws", "dry_land")]
+            shares += [
+                share_of(of(arm, score), of(arm))
+                for score in ("mujoco", "current")
+                for arm in ("true_slush", "designed_throws")
+            ]
+            yield depth, study["robots"], best.values.mean(), *shares
 
 
 @table(text("evolved in"), metres("predicted"), metres("true"), text("by robot [m]"))
