@@ -28,8 +28,8 @@ class Architecture(Parameters):
     for media that push a tilted plate sideways; or "wetted", which part is under water. The last need several times
     fewer throws, and fewest of a fluid at rest: of that they learn from the mirror image of every throw, too. "law"
     fits the constants of the slush and no network, "law_and_network" lets networks learn what that leaves over; the law
-    of another medium is "law:flowing_slush". "plain_kicked" also sees what joints and motors changed of a
-    link's velocity, and "wetted_mass" predicts which share of that the fluid takes back: use struck throws."""
+    of another medium is "law:flowing_slush". "wetted_mass" also predicts which share of what joints and motors do to a
+    link the fluid takes back: use struck throws."""
 
     @property
     def about(self) -> str:

@@ -76,7 +76,7 @@ def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path):
     without = run("-c", read)
     assert int(without.stdout) > 0 and "The code of link_axes is not here" in without.stderr
     unknown = run("-m", "pipeline", "study", *options[:2], *changes[:2])
-    said = "network.form: expected any of law, law_and_network, plain, plain_kicked, signed_angle, wetted"
+    said = "network.form: expected any of law, law_and_network, plain, signed_angle, wetted"
     assert unknown.returncode == 2 and f"{said}, wetted_mass, got 'link_axes'" in unknown.stderr
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Float64
 from tasks.compiled import formula, with_law
-from tasks.residual.forms import kicked, wetted
+from tasks.residual.forms import added_mass, wetted
 from tasks.residual.forms.form import FAMILIES, Form
 from tasks.simd.lanes import from_row
 from tasks.simulation.fluids import Links
@@ -32,7 +32,7 @@ _CLEARLY = 0.99  # share of a minimum that another one is below
 _LEAST = 1e-6  # of a constant that is fitted by its logarithm
 _DIGITS = 6  # significant digits of a constant, so that it is the same wherever linear algebra rounds differently
 _N_OUTPUTS, _N_INPUTS = len(wetted.WETTED.outputs), len(wetted.WETTED.inputs)
-_N_BY_MASS, _N_READ = len(kicked.WETTED_MASS.outputs), _N_INPUTS + len(kicked.WETTED_MASS.unseen)
+_N_BY_MASS, _N_READ = len(added_mass.WETTED_MASS.outputs), _N_INPUTS + len(added_mass.WETTED_MASS.unseen)
 _STATE = ("length_scale", "mass", "inertia", "y", "cos", "sin", "vx", "vy", "omega")
 _KICKS = ("kick_vx", "kick_vy", "kick_omega")
 
@@ -80,7 +80,7 @@ def _read_kicked(links: Any) -> tuple[Any, ...]:
 
 @formula
 def _read_wetted_kicked(links: Any) -> tuple[Any, ...]:
-    return (*kicked.read_wetted(links), *_read_kicked(links))
+    return (*added_mass.read(links), *_read_kicked(links))
 
 
 @formula
@@ -93,7 +93,7 @@ def _act_kicked(factors: Any, s: Any) -> Any:
 
 
 def _act_kicked_with_network(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
-    x, y, angle = kicked.act_by_mass(outputs, read)
+    x, y, angle = added_mass.act(outputs, read)
     factors, s = from_row(outputs, _N_BY_MASS), from_row(read, _N_READ)
     by_law = LAW(factors, _kicked_links(s))
     return by_law[0] + x, by_law[1] + y, by_law[2] + angle
@@ -198,11 +198,11 @@ _WITH_NETWORK = replace(
 )
 _ALONE_KICKED = replace(_ALONE, read=_read_kicked, reads_kicks=True, unseen=(*_STATE, *_KICKS))
 _WITH_KICKED = replace(
-    kicked.WETTED_MASS,
+    added_mass.WETTED_MASS,
     name=_WITH_NETWORK.name,
     about=_WITH_NETWORK.about,
     read=_read_wetted_kicked,
-    unseen=(*kicked.WETTED_MASS.unseen, *_STATE, *_KICKS),
+    unseen=(*added_mass.WETTED_MASS.unseen, *_STATE, *_KICKS),
 )
 FAMILIES[_ALONE.name] = functools.partial(_form, (_ALONE, _ALONE_KICKED), (_act, _act_kicked))
 FAMILIES[_WITH_NETWORK.name] = functools.partial(

@@ -67,7 +67,7 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
         (["learners.a.throws.n_throws=0"], "learners.a.throws.n_throws: expected greater than or equal to 2"),
         (
             ["learners.a.network.form=wet"],
-            "learners.a.network.form: expected any of law, law_and_network, plain, plain_kicked, signed_angle, wetted, "
+            "learners.a.network.form: expected any of law, law_and_network, plain, signed_angle, wetted, "
             "wetted_mass, got 'wet'",
         ),
         (["network.form=law:honey"], "network.form: expected the law of a fluid with constants, any of true_slush"),

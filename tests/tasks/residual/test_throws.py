@@ -115,5 +115,5 @@ def test_a_struck_bar_is_answered_by_a_fluid_that_reads_kicks():
     without = np.stack((change.vx, change.vy, change.omega), axis=1)
     # As above, and a kick is measured to four roundings of velocities below 64.
     assert np.abs(heavy.residual[:, 3:] - without + 0.6 * area[:, None] * heavy.kick).max() < 10 * 2**-19
-    plain, kicked = form_named("plain"), form_named("plain_kicked")
-    assert "takes back" in kicks_unseen(plain, heavy) and not kicks_unseen(kicked, heavy) + kicks_unseen(plain, light)
+    plain, of_mass = form_named("plain"), form_named("wetted_mass")
+    assert "takes back" in kicks_unseen(plain, heavy) and not kicks_unseen(of_mass, heavy) + kicks_unseen(plain, light)

@@ -1,7 +1,6 @@
-"""Networks that see kicks."""
+"""Networks that predict added mass."""
 
 import numpy as np
-import pytest
 
 from tasks.residual import Architecture, Throws, Training, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble
@@ -24,13 +23,12 @@ class HoldsBack:
         )
 
 
-@pytest.mark.parametrize(("form", "holds"), [("wetted_mass", True), ("plain_kicked", False)])
-def test_added_mass_answers_kicks_of_any_size(form, holds):
-    """Of ten times the strikes that throws had; networks that see kicks as any input do not."""
+def test_kicks_of_any_size_are_answered():
+    """Of ten times the strikes that throws had."""
     settings = Throws(design="struck", n_throws=32, n_steps=40)
     starts = initial_states(settings, np.random.default_rng(1), Physics())
     training = Training(n_iterations=400, batch_size=256, learning_rate=0.02, decay="cosine", loss="mse")
-    network = Architecture(hidden_layers=1, width=16, form=form)
+    network = Architecture(hidden_layers=1, width=16, form="wetted_mass")
     member = train_member(simulate_throws(starts, 40, HoldsBack(), Physics()), network, training, seed=1, member=0)
     rng = np.random.default_rng(2)
     a, angle, kick = rng.uniform(1, 3, 200), rng.uniform(0, 6, 200), rng.uniform(-30, 30, (3, 200))
@@ -38,4 +36,4 @@ def test_added_mass_answers_kicks_of_any_size(form, holds):
     links = LinkStates(*(of.astype(np.float32)[None] for of in (*link_constants(a, Physics()), *state)))
     found = Ensemble.from_members([member.arrays()]).velocity_change(links, Physics())
     off = (np.stack((found.vx, found.vy, found.omega))[:, 0] + BACK * kick) / kick.std()
-    assert (np.sqrt(np.square(off).mean()) < 0.1) == holds
+    assert np.sqrt(np.square(off).mean()) < 0.1

@@ -1,7 +1,12 @@
-"""Plain networks that see kicks, what joints, motors and contacts changed of a link's velocities; and added mass.
+"""Wetted networks that also predict added mass: which shares of a kick the fluid takes back.
 
-Water takes back most of a kick, because it is accelerated with the link: its added mass. Thrown bars are never kicked,
-so networks learn it from struck ones alone (the setting ``throws.design``).
+A kick is what joints, motors and contacts changed of a link's velocities. Water takes back most of it, because it is
+accelerated with the link. Thrown bars are never kicked, so networks learn it from struck ones alone (the setting
+``throws.design``). In a link's axes, with shares c of a kick k,
+
+    Δv = A_s ((f_t - c_t k_t) t + (f_n - c_n k_n) n + b ŷ),    Δω = J (f_ω - c_ω k_ω)
+
+The outputs do not depend on the kick, so kicks that are larger than those of struck bars teach nothing wrong.
 """
 
 from __future__ import annotations
@@ -13,7 +18,7 @@ import numpy as np
 
 from tasks.arrays import Float32
 from tasks.compiled import formula
-from tasks.residual.forms import plain, wetted
+from tasks.residual.forms import wetted
 from tasks.residual.forms.form import Targets, register_form
 from tasks.simd.lanes import from_row, select
 
@@ -21,35 +26,15 @@ if TYPE_CHECKING:
     from tasks.residual.throws import Transitions
 
 
-@formula
-def _read_plain(links: Any) -> tuple[Any, ...]:
-    return (*plain.read(links), links.sin, links.kick_vx, links.kick_vy, links.kick_omega)
-
-
-@formula
-def read_wetted(links: Any) -> tuple[Any, ...]:
-    """Return the inputs of wetted networks, and the kick along a link, across it and of ω."""
-    cos, sin, x, y = links.cos, links.sin, links.kick_vx, links.kick_vy
-    return (*wetted.read(links), cos * y - sin * x, cos * x + sin * y, links.kick_omega)
-
-
-register_form(
-    replace(
-        plain.PLAIN,
-        name="plain_kicked",
-        inputs=(*plain.PLAIN.inputs, "sin_angle", "kick_vx", "kick_vy", "kick_omega"),
-        read=_read_plain,
-        reads_kicks=True,
-    )
-)
 _KICK, _N_SEEN = ("kick_along", "kick_across", "kick_omega"), len(wetted.WETTED.inputs)
 (half_turn,) = wetted.WETTED.symmetries
 
-# Networks of added mass: in a link's axes, what is under water takes back the shares c of a kick k,
-#
-#     Δv = A_s ((f_t - c_t k_t) t + (f_n - c_n k_n) n + b ŷ),    Δω = J (f_ω - c_ω k_ω)
-#
-# The outputs do not depend on the kick, so kicks that are larger than those of struck bars teach nothing wrong.
+
+@formula
+def read(links: Any) -> tuple[Any, ...]:
+    """Return the inputs of wetted networks, and the kick along a link, across it and of ω."""
+    cos, sin, x, y = links.cos, links.sin, links.kick_vx, links.kick_vy
+    return (*wetted.read(links), cos * y - sin * x, cos * x + sin * y, links.kick_omega)
 
 
 @formula
@@ -59,7 +44,7 @@ def _share(c: Any) -> Any:
 
 
 @formula
-def act_by_mass(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
+def act(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
     """Return the changes of vx, vy and ω by outputs and what is read."""
     kick = from_row(read, _N_SEEN)
     along = outputs[0] - _share(outputs[4]) * kick[0]
@@ -67,14 +52,14 @@ def act_by_mass(outputs: Any, read: Any) -> tuple[Any, Any, Any]:
     return wetted.act((along, across, outputs[2] - _share(outputs[6]) * kick[2], outputs[3]), read)
 
 
-def _measured_by_mass(read: Float32, change: Float32) -> Float32:
+def _measured(read: Float32, change: Float32) -> Float32:
     """Return the same as of wetted networks, and in the unit of c, changes per root mean square of a kick."""
     measured, kick = wetted.WETTED.measured(read, change), read[:, _N_SEEN : _N_SEEN + 3]
     scale = np.sqrt(np.square(kick).mean(axis=0))
     return np.concatenate((measured, measured[:, :3] / np.where(scale > 0, scale, 1)), axis=1)
 
 
-def _targets_by_mass(read: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:
+def _targets(read: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:
     targets, kick = wetted.WETTED.targets(read, change, weights, deviation), read[:, _N_SEEN : _N_SEEN + 3]
     of_each = [-kick * np.eye(3, dtype=np.float32)[i] * (deviation[4 + i] / deviation[i]) for i in range(3)]
     return targets._replace(shares=np.concatenate((targets.shares, *of_each), axis=1))
@@ -92,13 +77,13 @@ WETTED_MASS = register_form(
         name="wetted_mass",
         about=f"{wetted.WETTED.about} They also predict its added mass: what share of a kick by joints and motors the "
         "fluid takes back.",
-        read=read_wetted,
+        read=read,
         unseen=_KICK,
         reads_kicks=True,
         outputs=(*wetted.WETTED.outputs, "along", "across", "omega"),
-        act=act_by_mass,
-        measured=_measured_by_mass,
-        targets=_targets_by_mass,
+        act=act,
+        measured=_measured,
+        targets=_targets,
         symmetries=((*half_turn, *_KICK[:2]),),
         mirror=(*wetted.WETTED.mirror, *_KICK[1:]),
         warning=_unstruck,
