@@ -5,6 +5,7 @@ CSV may be as spreadsheets write it. Nothing is guessed: docs/your-own-tank.md c
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +18,6 @@ import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
 from pipeline.store.design_file import read_parquet
-from pipeline.store.file_kinds import TRACKERS, decode, told_by
 from tasks.arrays import Labels
 from tasks.bench.tracks import Bars, TrackTable
 
@@ -71,7 +71,7 @@ def read_bars(content: bytes, name: str) -> Bars:
 def _read_columns(content: bytes, name: str, needed: Sequence[str]) -> Mapping[str, Any]:
     """Return the known columns: numbers as arrays, throws as Arrow's column of text."""
     try:
-        table = read_parquet(content) if content[:4] == b"PAR1" else _read_csv(decode(content, name), name)
+        table = read_parquet(content) if content[:4] == b"PAR1" else _read_csv(_text_of(content, name))
         _require(table.column_names, needed, name)
         columns: dict[str, Any] = {
             column: table[column].cast(pa.float64()).to_numpy() for column in table.column_names if column in _NUMBERS
@@ -84,18 +84,31 @@ def _read_columns(content: bytes, name: str, needed: Sequence[str]) -> Mapping[s
     return columns
 
 
-def _read_csv(text: str, name: str) -> pa.Table:
+def _text_of(content: bytes, name: str) -> str:
+    """Return the text of a file, compressed by gzip or not, in UTF-8, UTF-16 or Windows' encoding."""
+    if content.startswith(b"\x1f\x8b"):
+        content = pa.CompressedInputStream(pa.BufferReader(content), "gzip").read()
+    if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return content.decode("utf-16", "replace")
+    if b"\0" in content:
+        raise PuddleError(
+            f"{name}: expected CSV or Parquet, got a binary file: `puddle track` makes tracks of videos, and "
+            f"docs/your-own-tank.md converts files of other programs"
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace")
+
+
+def _read_csv(text: str) -> pa.Table:
     """Read a table whose separator is the one that its first line names (`sep=;`), or that its heading has."""
+    text = "\n".join(text.splitlines())
     text = re.sub(r'^[,;\t "]*(\n|$)', "", text, flags=re.MULTILINE)  # a spreadsheet's rows without a cell
     named = re.match(r'"?sep=(.).*\n', text)
     heading, _, rows = text[named.end() if named else 0 :].partition("\n")
     separator = named[1] if named else max(",;\t", key=heading.count)
     names = [column.strip() for column in heading.split(separator)]
-    if "throw" not in names and (program := told_by(TRACKERS, text)):
-        raise PuddleError(
-            f"{name}: a table of {program}: expected the columns {', '.join(TRACK_COLUMNS)}: make them from two points "
-            f"of each bar, or a rigid body, as in docs/your-own-tank.md"
-        )
     return pa.csv.read_csv(
         pa.BufferReader((separator.join(names) + "\n" + rows).encode()),
         pa.csv.ReadOptions(use_threads=False),  # a message then names the row

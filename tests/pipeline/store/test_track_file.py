@@ -1,9 +1,6 @@
 """Tracks files: what is read of CSV and Parquet, and what is refused."""
 
-import bz2
 import gzip
-import io
-import zipfile
 from pathlib import Path
 
 import pyarrow as pa
@@ -46,7 +43,7 @@ GERMAN = PLAIN.replace(",", ";").replace(".", ",")
         PLAIN.replace("\n", ",,\n"),
         PLAIN.replace(",", "\t").encode("utf-16"),
         gzip.compress(PLAIN.encode(), mtime=0),
-        bz2.compress(GERMAN.encode("cp1252")),
+        GERMAN.encode("cp1252"),
         PLAIN.replace("\n", ",1\n").replace("angle,1", "angle,Neigung [°]").encode("cp1252"),
     ],
 )
@@ -79,13 +76,6 @@ def test_a_folder_of_parquet_parts_is_one_table(tmp_path: Path) -> None:
         content_of(tmp_path / "text")
 
 
-def zipped(*names: str) -> bytes:
-    with zipfile.ZipFile(content := io.BytesIO(), "w", zipfile.ZIP_DEFLATED) as file:
-        for name in names:
-            file.writestr(name, PLAIN)
-    return content.getvalue()
-
-
 def test_deviations_and_bars_may_be_columns() -> None:
     line = b"throw,time,x,y,angle,x_sd,y_sd,angle_sd,length,width,mass\n"
     content = line + b"1,0,0,0,0,1,2,3,0.07,0.07,0.1\n1,1,0,0,0,1,2,3,0.07,0.07,0.1\n"
@@ -111,21 +101,9 @@ def test_deviations_and_bars_may_be_columns() -> None:
         (b"throw,time,x,y,angle\na,0,0,0,0\n,0,0,0,0\n", "a.csv: row 2: throw is empty, expected"),
         (b"throw,time,x,y,angle\n2.02611E+16,0,0,0,0\n", r"throw is 2.02611E\+16, expected .* all its digits"),
         (b"throw,time,x,y,angle,x_sd\n1,0,0,0,0,1\n", "a.csv: expected the columns .*, without y_sd, angle_sd"),
-        (b"\x89HDF\r\n\x1a\n" + bytes(20), "a.csv: .*got HDF5: export CSV .DeepLabCut"),
-        (zipped("docProps/app.xml", "xl/worksheets/sheet1.xml"), "a.csv: .*got a workbook: save its sheet as CSV"),
-        (zipped("tank.csv"), "a.csv: .*got a ZIP archive: unpack it"),
-        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(20), "a.csv: .*got a workbook"),
-        (b"\n<html><table><tr><td>throw</td></tr></table></html>", "a.csv: .*got HTML or XML: open it in a spreads"),
-        (b"\0\0\0\x18ftypmp42", "a.csv: .*got a video: `puddle track`"),
-        (b'{"throw": [1]}', "a.csv: .*got JSON"),
-        (b"\x80\x04\x95\0\0", "a.csv: .*got a binary file"),
-        (b"scorer,net,net\nbodyparts,a,a\ncoords,x,y\n0,1,2\n", "a table of DeepLabCut: .* throw, time, x, y, angle"),
-        (b"track,frame_idx,instance.score,a.x,a.y,a.score\n,0,1,1,2,1\n", "a table of SLEAP: .* from two points"),
-        (b"Format Version,1.25,Take Name,a\n\n,Type,Rigid Body\n", "a table of Motive: .* or a rigid body"),
-        (b"\n\nTrajectories\n240\n,,a:b,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n", "a table of Vicon: .* two points"),
-        (b"Segments,,\n100,,\n", "a table of Vicon"),
-        (b"\tmass A\t\nt\tx\ty\n0\t1\t2\n", "a table of Tracker: expected the columns throw"),
-        (b"t (s)\tx (m)\ty (m)\n0\t1\t2\n", "a table of Tracker"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(20), "a.csv: .*got a binary file: `puddle track` .* videos.*your-own-tank.md"),
+        (b"scorer,net,net\nbodyparts,a,a\ncoords,x,y\n0,1,2\n", "a.csv: expected the columns throw, time, x, y, angle"),
+        (b'{"throw": [1]}', "a.csv: expected the columns .* without throw"),
         (gzip.compress(b"throw,time,x,y,angle\n", mtime=0)[:-9], "a.csv: .*Truncated"),
         (b"PAR1 and no more", "a.csv: expected CSV or Parquet .*: Parquet magic bytes"),
     ],
