@@ -44,9 +44,6 @@ def compiled(function: Callable[..., Any], *, seconds: int) -> Callable[..., Any
     Args:
         function: kernel; no closure, because numba's cache never finds a closure again.
         seconds: about how long compilation takes, for the announcement.
-
-    Raises:
-        ValueError: the kernel is a closure.
     """
     if function.__closure__ is not None:
         raise ValueError(f"{function.__qualname__} is a closure, expected a function of a module")

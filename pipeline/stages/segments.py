@@ -1,7 +1,7 @@
 """Segments: a work item of some generations of one trial. Evolution and adaptation both consist of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -117,17 +117,8 @@ def compute_segment(item: Item[SegmentSpec], inputs: Inputs) -> Files:
 
 
 def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs]) -> list[Files]:
-    """Advance trials of one environment by the same generations, as one batch.
-
-    Raises:
-        ValueError: the trials differ in more than their identities.
-    """
+    """Advance trials that differ in their identities alone by the same generations, as one batch."""
     spec, execution = items[0].spec, items[0].execution
-    if any(
-        _common(item, item_inputs, spec) != _common(items[0], inputs[0], spec)
-        for item, item_inputs in zip(items, inputs, strict=True)
-    ):
-        raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
     trials = [_trial(item.spec.trial, item_inputs) for item, item_inputs in zip(items, inputs, strict=True)]
     environment = spec.trial.at_home(networks_among(inputs[0]))
     search, objective = spec.trial.optimiser, spec.trial.fitness.objective
@@ -149,12 +140,6 @@ def compute_segments(items: Sequence[Item[SegmentSpec]], inputs: Sequence[Inputs
         }
         for item, trial, (after, history) in zip(items, trials, advanced, strict=True)
     ]
-
-
-def _common(item: Item[SegmentSpec], inputs: Inputs, first: SegmentSpec) -> tuple[object, object]:
-    """Return what the trials of a batch must share: all of the specification but the identity, depth, and networks."""
-    identity = replace(first.trial.identity, depth=item.spec.trial.identity.depth)
-    return replace(item.spec, trial=replace(item.spec.trial, identity=identity)), networks_among(inputs)
 
 
 def _trial(spec: TrialSpec, inputs: Inputs) -> Trial:

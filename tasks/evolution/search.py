@@ -156,20 +156,12 @@ SearchName: TypeAlias = str  # name of a registered search
 
 
 def register_search(search: Search) -> None:
-    """Add a search to the registry.
-
-    Raises:
-        ValueError: another search has the name.
-    """
+    """Add a search to the registry; raise ValueError if the name is taken."""
     register(SEARCHES, "search", search.name, search)
 
 
 def require_search(name: SearchName) -> None:
-    """Check that the package of a search is installed.
-
-    Raises:
-        ValueError: it is not.
-    """
+    """Raise ValueError if the package of a search is not installed."""
     package = SEARCHES[name].package
     if package and find_spec(package) is None:
         raise ValueError(

@@ -71,11 +71,7 @@ ENVIRONMENTS: Mapping[str, EnvironmentKind] = MappingProxyType(_registered)
 
 
 def register(kind: EnvironmentKind) -> None:
-    """Add an environment.
-
-    Raises:
-        ValueError: the name is taken.
-    """
+    """Add an environment; raise ValueError if the name is taken."""
     discovery.register(_registered, "environment", kind.name, kind)
     kinds = sorted(_registered.values(), key=lambda kind: (kind.order, kind.name))
     _registered.clear()

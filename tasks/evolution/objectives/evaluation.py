@@ -49,11 +49,7 @@ ObjectiveName: TypeAlias = str  # name of a registered objective
 
 
 def register_objective(objective: Objective) -> None:
-    """Add an objective to the registry.
-
-    Raises:
-        ValueError: another objective has the name.
-    """
+    """Add an objective to the registry; raise ValueError if the name is taken."""
     register(OBJECTIVES, "objective", objective.name, objective)
 
 

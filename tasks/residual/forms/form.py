@@ -34,24 +34,8 @@ class Targets(NamedTuple):
     shares: Float32  # (n_rows, n_errors · n_further) of each further output in the errors, output by output
 
 
-def _as_measured(read: Float32, change: Float32) -> Float32:  # noqa: ARG001
-    return change
-
-
 def _as_they_are(read: Float32, change: Float32, weights: Float32, deviation: Float32) -> Targets:  # noqa: ARG001
     return Targets(change, weights if (weights != 1).any() else weights[:, :0], change[:, :0])
-
-
-def _nothing(links: LinkStates, change: Float32, weights: Float32, physics: Physics) -> tuple[Float64, Float32]:  # noqa: ARG001
-    return np.empty(0), np.empty(0, np.float32)
-
-
-def _learns_any_medium(medium: Medium | MediumWithMemory, physics: Physics) -> str:  # noqa: ARG001
-    return ""
-
-
-def _learns_from_any_throws(transitions: Transitions) -> str:  # noqa: ARG001
-    return ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,13 +58,15 @@ class Form:
     """What is fitted to throws, before networks learn what that leaves over."""
     factors_in_proportion: tuple[bool, ...] = ()
     """Whether each of the factors of a step that follow from the constants is in proportion to the time step."""
-    fit: Callable[[LinkStates, Float32, Float32, Physics], tuple[Float64, Float32]] = _nothing
+    fit: Callable[[LinkStates, Float32, Float32, Physics], tuple[Float64, Float32]] = (
+        lambda links, change, weights, physics: (np.empty(0), np.empty(0, np.float32))
+    )
     """(n_constants,) constants and (n_factors,) factors, by (n_rows,) links, their (n_rows, 3) changes, and (n_rows, 3)
     weights of squared errors."""
     beside: tuple[str, ...] = ()
     """Components of a step's residual that networks learn as well, before the outputs, and that act on nothing."""
 
-    measured: Callable[[Float32, Float32], Float32] = _as_measured
+    measured: Callable[[Float32, Float32], Float32] = lambda read, change: change
     """(n_rows, n_beside + n_outputs) changes, each in the unit of its output, by what is read and
     (n_rows, n_beside + 3) true residuals. Training standardises them."""
     targets: Callable[[Float32, Float32, Float32, Float32], Targets] = _as_they_are
@@ -92,9 +78,9 @@ class Form:
     mirror: Collection[str] = ()
     """The same of mirror images, from which networks learn unless the throws show that the fluid flows."""
 
-    objection: Callable[[Medium | MediumWithMemory, Physics], str] = _learns_any_medium
+    objection: Callable[[Medium | MediumWithMemory, Physics], str] = lambda medium, physics: ""
     """Why networks can't learn a medium, such as "acts above y = 0: expected plain"; "" if they can."""
-    warning: Callable[[Transitions], str] = _learns_from_any_throws
+    warning: Callable[[Transitions], str] = lambda transitions: ""
     """What makes it doubtful that they learn from throws, in a line; "" if nothing does."""
 
     def __repr__(self) -> str:

@@ -175,10 +175,6 @@ def _form(bases: tuple[Form, Form], acts: tuple[Callable[..., Any], Callable[...
     )
 
 
-def _nothing_left(inputs: Float32, change: Float32) -> Float32:  # noqa: ARG001
-    return change[:, :0]
-
-
 _ALONE = Form(
     name="law",
     about="The law of a fluid takes the place of networks; its constants are fitted to the throws.",
@@ -187,7 +183,7 @@ _ALONE = Form(
     unseen=_STATE,
     outputs=(),
     act=_act,
-    measured=_nothing_left,
+    measured=lambda read, change: change[:, :0],
 )
 _WITH_NETWORK = replace(
     wetted.WETTED,
