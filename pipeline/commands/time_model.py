@@ -1,45 +1,29 @@
 """How long a study takes, and how much disk: the model of `puddle forecast`.
 
 An item of work takes the median time of those that the store has of its kind, by its units. Where the store has none,
-the constants below decide. They are of one core of an AMD EPYC (docs/performance.md), and right within a factor of two.
-What runs on a GPU has none: its time is not counted before the store has some of it.
+the weight of its chain decides (pipeline/stages/cost.py). What runs on a GPU has no such time: none is counted before
+the store has some of it.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, environments
-from pipeline.stages.cost import SECONDS_PER_STEP, cost_in_numpy, number_of_members
 from pipeline.stages.data_sets import AssessmentId
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import AnyStage, Chain, Upstream
-from tasks.residual import Architecture, Training
-from tasks.world import EnvironmentName
 
 UNMEASURED = "unmeasured on a GPU"
-_STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
-_SECONDS_PER_STEP = {"batch": SECONDS_PER_STEP, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
-_SECONDS_PER_MEMBER_STEP = 0.35e-6  # of one robot under one network, besides the network's arithmetic
-_FLOPS_OF_INFERENCE = 190e9  # per second
-_FLOPS_OF_TRAINING = 70e9  # per second
-_PASSES_OF_TRAINING = 3  # forward, and twice as much backward
-_SECONDS_PER_ITERATION = 0.15e-3  # of training, besides arithmetic
-_SECONDS_PER_THROW_STEP = 0.1e-6
-_SECONDS_PER_PICTURE = 4.4e-3
-_SECONDS_PER_ITEM = {  # to import torch and the like; else as below
-    "collect": 0.3,
-    "train": 1.0,
-    "analyse": 1.0,
-}
+_SECONDS_PER_ITEM = {"collect": 0.3, "train": 1.0, "analyse": 1.0}  # to import torch and the like; else as below
 _SECONDS_PER_OTHER_ITEM = 0.05
 _BYTES = {  # of an item, and of each unit; networks and generations follow from their sizes
     "throws": (5e3, 7e3),
@@ -114,7 +98,8 @@ def _forecast(stage: AnyStage, settings: Settings, upstream: Upstream, costs: Ma
         unknown = measured is None and (chain.one_gpu or _has_served_networks(settings, chain))
         sources.add("store" if measured else UNMEASURED if unknown else "table")
         size = sum(units) * chain.weight
-        seconds = size * measured.seconds if measured else 0 if unknown else _expected(stage, settings, chain, units)
+        fixed = len(units) * _SECONDS_PER_ITEM.get(stage.name, _SECONDS_PER_OTHER_ITEM)
+        seconds = size * measured.seconds if measured else 0 if unknown else fixed + size
         n_bytes += size * measured.n_bytes if measured else _expected_bytes(stage, settings, chain, units)
         n_units, total = n_units + sum(units), total + seconds
         if chain.one_gpu:  # they follow one another
@@ -159,64 +144,8 @@ def _workers_per_generation(settings: Settings, chain: Chain[Any]) -> int:
     return math.ceil(settings.evolution.optimiser.population_size / size) if size else 1
 
 
-def _expected(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
-    fixed = _SECONDS_PER_ITEM.get(stage.name, _SECONDS_PER_OTHER_ITEM)
-    per_unit = _PER_UNIT.get(stage.name)  # that of a new stage is not known before the store has an item of it
-    return len(units) * fixed + sum(units) * (per_unit(settings, chain) if per_unit else 1.0)
-
-
 def _expected_bytes(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
     if stage.name == "train":
         return len(units) * (4.0 * float(chain.spec.network.n_weights) + 20e3)
     per_item, per_unit = _BYTES.get(stage.unit, (1e4, _BYTES_PER_DESIGN * settings.evolution.optimiser.population_size))
     return per_item * len(units) + per_unit * sum(units)
-
-
-def _rollout(settings: Settings, environment: EnvironmentName) -> float:
-    """Return the time of one rollout of one robot [s]."""
-    n_steps = settings.rollout.n_settle + settings.rollout.n_measure
-    n_members = number_of_members(settings, environment)
-    engine: str = settings.work.engine
-    if engine == "batch" and (settings.physics.link_collisions or settings.physics.passive_joints == "locked"):
-        engine = "rigid"
-    learner = settings.learner(environment)
-    if learner is None:
-        in_numpy = cost_in_numpy(settings, environment) * SECONDS_PER_STEP
-        return n_steps * n_members * (_SECONDS_PER_STEP[engine] + in_numpy)
-    physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
-    flops = learner.network.flops
-    return n_steps * n_members * (physics + settings.design.n_links.most * flops / _FLOPS_OF_INFERENCE)
-
-
-def _flops_of_iteration(network: Architecture, training: Training) -> float:
-    return _PASSES_OF_TRAINING * training.batch_size * network.flops
-
-
-def _generation(settings: Settings, environment: EnvironmentName) -> float:
-    """Return the time of one generation of a trial [s]."""
-    return settings.evolution.optimiser.population_size * _rollout(settings, environment)
-
-
-def _ensemble_of(chain: Chain[Any]) -> EnvironmentName:
-    assert isinstance(chain.identity, AssessmentId)
-    return chain.identity.data_set.learner
-
-
-_PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
-    "collect": lambda settings, chain: (
-        (getattr(chain.spec, "throws", settings.throws).n_steps or _STEPS_OF_DESIGNED_THROW)
-        * (_SECONDS_PER_THROW_STEP + cost_in_numpy(settings, settings.target) * SECONDS_PER_STEP)
-    ),
-    "train": lambda settings, chain: (
-        _SECONDS_PER_ITERATION + _flops_of_iteration(chain.spec.network, chain.spec.training) / _FLOPS_OF_TRAINING
-    ),
-    "evolve": lambda settings, chain: _generation(settings, chain.spec.environment),
-    "adapt": lambda settings, chain: _generation(settings, chain.spec.environment),
-    "transfer": lambda settings, chain: (
-        _rollout(settings, chain.spec.trial.environment) + 2 * _rollout(settings, settings.target)
-    ),
-    "assess": lambda settings, chain: _rollout(settings, settings.target) + _rollout(settings, _ensemble_of(chain)),
-    "analyse": lambda settings, chain: chain.weight * _rollout(settings, "dry_land"),
-    "report": lambda settings, chain: _SECONDS_PER_PICTURE,
-}
-"""Seconds of a unit of each stage's work."""

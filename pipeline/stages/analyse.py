@@ -13,7 +13,7 @@ from typing import Any
 from pipeline.config.settings import Settings
 from pipeline.report.page import scale_words
 from pipeline.report.render import as_text, tables_of
-from pipeline.stages.cost import relative_cost
+from pipeline.stages.cost import seconds_of_rollout
 from pipeline.stages.reader import DataSpec, StudyReader, data_spec, inputs_of, read_inputs, read_study
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -45,7 +45,7 @@ def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
         arms = arms_of(trials).items() if table.each == "arm" else [(None, trials)]
         for arm, of_arm in arms:
             home = arm.environment if arm else learned if "networks" in table.reads else settings.target
-            weight = table.cost * len(of_arm) * relative_cost(settings, home)
+            weight = table.cost * len(of_arm) * seconds_of_rollout(settings, home)
             spec = AnalysisSpec(name, table.version, data_spec(settings, of_arm))
             chains.append(Chain(OutputId(name, arm), (1,), spec, weight=weight))
     return chains

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments
+from pipeline.stages.cost import seconds_of_rollout
 from pipeline.stages.data_sets import AssessmentId, DataSetId, ensemble_ids
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.files import HISTORY, PREDICTIONS
@@ -82,6 +83,7 @@ def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
                 settings.target,
                 learner,
             ),
+            sum(seconds_of_rollout(settings, name) for name in (settings.target, learner)),
         )
         for trial, n in shares
         if n

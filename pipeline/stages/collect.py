@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
+from pipeline.stages.cost import seconds_of_throw
 from pipeline.stages.data_sets import ChunkId, DataSetId, data_sets
 from pipeline.stages.environments import Media
 from pipeline.stages.files import TRANSITIONS
@@ -84,16 +85,17 @@ def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
     ensembles, size = settings.ensembles, settings.work.throws_per_item
     for data_set in data_sets(settings):
         throws = ensembles[data_set.learner].throws
+        weight = seconds_of_throw(settings, throws)
         if throws.source == "tracks" and settings.tracks is not None:
             for fold in range(min(N_FOLDS, throws.n_throws)):
                 of_tracks = TracksSpec(unnamed(settings.tracks), settings.physics, fold)
-                chains.append(Chain(ChunkId(data_set, fold), (throws.n_throws,), of_tracks))
+                chains.append(Chain(ChunkId(data_set, fold), (throws.n_throws,), of_tracks, weight))
             continue
         seed = replicate_seed(settings.seed, data_set.replicate)
         for first in range(0, throws.n_throws, size):
             n = min(size, throws.n_throws - first)
             spec = ChunkSpec(first, n, seed, throws, settings.physics, media, settings.target)
-            chains.append(Chain(ChunkId(data_set, first), (n,), spec))
+            chains.append(Chain(ChunkId(data_set, first), (n,), spec, weight))
     return chains
 
 

@@ -1,15 +1,26 @@
-"""What a generation costs in an environment, relative to one on dry land, and how many trials to compute together."""
+"""What work takes on a core, by a table, and how many trials to compute together.
+
+A chain's weight is what a unit of its work takes [s]: it decides the order of work, the time left, and a forecast
+before the store has measured any. The constants are of one core of an AMD EPYC (docs/performance.md), and right within
+a factor of two.
+"""
 
 from pipeline.config.settings import Settings
 from pipeline.stages.environments import environment_of, media_of
+from tasks.residual import Architecture, Throws, Training
 from tasks.simulation.batch import n_that_fill_lanes
 from tasks.simulation.fluids import is_compiled
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
-SECONDS_PER_STEP = 0.2e-6  # of one robot on dry land in the batch engine
-_FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
-_OTHER_ENGINE = 1000.0  # approximate cost of a robot's step in MuJoCo, against one in the batch engine
-_CALL_OF_MEDIUM, _ROBOT_IN_MEDIUM = 500.0, 2.5  # approximate cost of NumPy, against a robot's step on dry land
+_STEP = {"batch": 0.2e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks [s]
+_STEP_UNDER_NETWORK = 0.35e-6  # of one robot under one network, besides the network's arithmetic [s]
+_STEP_IN_OTHER_ENGINE = 200e-6  # of one robot in MuJoCo [s]
+_CALL_OF_MEDIUM, _STEP_IN_MEDIUM = 100e-6, 0.5e-6  # in NumPy: of a call, and of one robot [s]
+_STEP_OF_THROW = 0.1e-6  # [s]
+_STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
+_ITERATION = 0.15e-3  # of training, besides arithmetic [s]
+_FLOPS_OF_INFERENCE, _FLOPS_OF_TRAINING = 190e9, 70e9  # per second
+_PASSES_OF_TRAINING = 3  # forward, and twice as much backward
 
 
 def batch_size(settings: Settings, environment: EnvironmentName) -> int:
@@ -19,38 +30,56 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
         return 1
     if environment in ENVIRONMENTS and ENVIRONMENTS[environment].engine:
         return 1
-    size = getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here
-    return n_that_fill_lanes(size, settings.physics)
+    return n_that_fill_lanes(_population_size(settings), settings.physics)
 
 
-def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
-    """Estimate the cost of a generation, relative to one on dry land."""
-    n_members, learner = number_of_members(settings, environment), settings.learner(environment)
-    medium = learner.network.flops / _FLOPS_OF_PHYSICS if learner else cost_in_numpy(settings, environment)
-    return n_members * (1 + medium)
+def seconds_of_iteration(network: Architecture, training: Training) -> float:
+    """Estimate the time of an iteration of training."""
+    return _ITERATION + _PASSES_OF_TRAINING * training.batch_size * network.flops / _FLOPS_OF_TRAINING
 
 
-def cost_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
-    """Estimate what a robot's step costs in a medium without a kernel, beside a step on dry land and relative to it."""
+def seconds_of_throw(settings: Settings, throws: Throws) -> float:
+    """Estimate the time of a throw into the target."""
+    return (throws.n_steps or _STEPS_OF_DESIGNED_THROW) * (_STEP_OF_THROW + _step_in_numpy(settings, settings.target))
+
+
+def seconds_of_generation(settings: Settings, environment: EnvironmentName) -> float:
+    """Estimate the time of a generation of a trial, of one rollout each."""
+    return _population_size(settings) * seconds_of_rollout(settings, environment)
+
+
+def seconds_of_rollout(settings: Settings, environment: EnvironmentName) -> float:
+    """Estimate the time of one rollout of one robot, under all members of an ensemble."""
+    n_steps = settings.rollout.n_settle + settings.rollout.n_measure
+    engine: str = settings.work.engine
+    if engine == "batch" and (settings.physics.link_collisions or settings.physics.passive_joints == "locked"):
+        engine = "rigid"
+    if learner := settings.learner(environment):
+        n_members = 1 if learner.is_single else learner.n_members
+        inference = settings.design.n_links.most * learner.network.flops / _FLOPS_OF_INFERENCE
+        return n_steps * n_members * (max(_STEP_UNDER_NETWORK, _STEP[engine]) + inference)
+    if environment not in ENVIRONMENTS:  # of code that is not here
+        return n_steps * _STEP[engine]
+    n_members = environment_of(media_of(settings, environment), environment, 0.0).n_members
+    return n_steps * n_members * (_STEP[engine] + _step_in_numpy(settings, environment))
+
+
+def _step_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
+    """Estimate the time of a robot's step in a medium without a kernel, beside a step on dry land [s]."""
     if environment not in ENVIRONMENTS:
         return 0.0  # the medium's code is not here
-    home = environment_of(media_of(settings, environment), environment, 0.0)
-    if (seconds := getattr(home.medium, "seconds_per_step", None)) is not None:
-        return float(seconds) / SECONDS_PER_STEP
+    medium = environment_of(media_of(settings, environment), environment, 0.0).medium
+    if (seconds := getattr(medium, "seconds_per_step", None)) is not None:
+        return float(seconds)
     if settings.work.engine != "batch":
         return 0.0  # the slush is in NumPy there, too
     if ENVIRONMENTS[environment].engine:
-        return _OTHER_ENGINE
-    if home.medium is None or is_compiled(home.medium):
+        return _STEP_IN_OTHER_ENGINE
+    if medium is None or is_compiled(medium):
         return 0.0
     n_batched = min(batch_size(settings, environment), settings.grid.n_trials)
-    return _CALL_OF_MEDIUM / (settings.evolution.optimiser.population_size * n_batched) + _ROBOT_IN_MEDIUM
+    return _CALL_OF_MEDIUM / (_population_size(settings) * n_batched) + _STEP_IN_MEDIUM
 
 
-def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
-    """Return how many members simulate each design in an environment, 1 without an ensemble."""
-    if learner := settings.learner(environment):
-        return 1 if learner.is_single else learner.n_members
-    if environment not in ENVIRONMENTS:  # of code that is not here
-        return 1
-    return environment_of(media_of(settings, environment), environment, 0.0).n_members
+def _population_size(settings: Settings) -> int:
+    return getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here

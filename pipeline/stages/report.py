@@ -41,6 +41,7 @@ FILM = "replay"  # name of the film of the first screen, without suffix
 PROPOSED = "proposed-"  # prefix of the design files of champions that are proposed for building
 _PAGE_ID, _FILM_ID = OutputId(PAGE), OutputId("film")
 _PICTURES_OF_PAGE = 4000  # approximate cost of the page, as pictures of a film
+_SECONDS_PER_PICTURE = 4.4e-3
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,10 @@ def _plan(settings: Settings) -> Sequence[Chain[Settings | DataSpec]]:
     deepest = [trial for trial in trials_of(settings, "transfer") if trial.depth == max(settings.grid.depths)]
     pictures = 2 * settings.rollout.n_measure * settings.physics.time_step * FILM_FPS
     whole = settings.model_copy(update={"work": WorkSettings()})
-    return [Chain(_PAGE_ID, (_PICTURES_OF_PAGE,), whole), Chain(_FILM_ID, (pictures,), data_spec(settings, deepest))]
+    return [
+        Chain(_PAGE_ID, (_PICTURES_OF_PAGE,), whole, _SECONDS_PER_PICTURE),
+        Chain(_FILM_ID, (pictures,), data_spec(settings, deepest), _SECONDS_PER_PICTURE),
+    ]
 
 
 def _item(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
-from pipeline.stages.cost import batch_size, relative_cost
+from pipeline.stages.cost import batch_size, seconds_of_generation
 from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.environments import FitnessSpec, SimulationSpec, networks_among
 from pipeline.stages.files import CURVE, HISTORY, POPULATION
@@ -95,7 +95,7 @@ def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -
         spec.identity,
         units,
         spec,
-        weight=relative_cost(settings, spec.environment) * n_rollouts,
+        weight=seconds_of_generation(settings, spec.environment) * n_rollouts,
         batch_key=Arm(spec.environment, depth),
         batch_size=batch_size(settings, spec.environment),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.mlflow.run import CurvePoints
 from pipeline.stages.collect import throws_among, throws_inputs
+from pipeline.stages.cost import seconds_of_iteration
 from pipeline.stages.data_sets import NetworkId, network_ids
 from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION
 from pipeline.stages.files import ERRORS, LEARNING, WEIGHTS
@@ -63,16 +64,12 @@ def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
         learner = ensembles[network.data_set.learner]
         seed = replicate_seed(settings.seed, network.data_set.replicate)
         spec = MemberSpec(network.index, seed, learner.network, learner.training, settings.physics)
-        weight = _cost(learner.network, learner.training) / _cost(settings.network, settings.training)
+        weight = seconds_of_iteration(learner.network, learner.training)
         on_gpu = spec.training.device == "cuda"
         batch_size = n_networks[network.data_set] if on_gpu else 1
         units = (spec.training.n_iterations,)
         chains.append(Chain(network, units, spec, weight, network.data_set, batch_size, one_gpu=on_gpu))
     return chains
-
-
-def _cost(network: Architecture, training: Training) -> float:
-    return network.n_weights * training.batch_size
 
 
 def _item(

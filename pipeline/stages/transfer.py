@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pipeline.config.settings import Settings
 from pipeline.report.render import as_text
 from pipeline.stages import divergence, environments
-from pipeline.stages.cost import relative_cost
+from pipeline.stages.cost import seconds_of_rollout
 from pipeline.stages.data_sets import networks_of
 from pipeline.stages.environments import FitnessSpec, SimulationSpec
 from pipeline.stages.files import ADAPTED, CHAMPION, POPULATION, SCORE
@@ -55,8 +55,8 @@ def _plan(settings: Settings) -> Sequence[Chain[ScoreSpec]]:
     for trial in trials_of(settings, "transfer"):
         simulation = environments.simulation_spec(settings, trial.environment, settings.target)
         fitness = environments.fitness_spec(settings, trial.environment)
-        places = trial.environment, settings.target
-        cost = sum(relative_cost(settings, environment) for environment in places)
+        places = trial.environment, settings.target, settings.target
+        cost = sum(seconds_of_rollout(settings, environment) for environment in places)
         spec = ScoreSpec(trial, settings.target, simulation, fitness)
         if engines := settings.transfer.other_engines:
             spec = InEnginesSpec(**vars(spec), engines=engines)

@@ -85,7 +85,7 @@ class Chain(Generic[ChainSpecT]):
     identity: ChainId
     units: tuple[float, ...]  # size of each item, in the stage's unit
     spec: ChainSpecT  # what all its items have in common: each item's specification is this one, or has it as a field
-    weight: float = 1.0  # cost of a unit relative to the stage's other chains, for the order of work and the time left
+    weight: float = 1.0  # about what a unit takes on a core [s], for the order of work, the time left and forecasts
     batch_key: Hashable = None  # chains with the same key, equally far and equally long, may form a batch
     batch_size: int = 1  # chains that make the fastest batch
     one_gpu: bool = False  # whether that batch is the work of one GPU, rather than of one core of several

@@ -9,7 +9,7 @@ from pipeline.commands.time_model import StageForecast, forecast_stages
 from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.stages.cost import relative_cost
+from pipeline.stages.cost import seconds_of_rollout
 
 
 @pytest.mark.parametrize("name", preset_names())
@@ -28,10 +28,11 @@ def test_cores_shorten_a_stage_down_to_its_longest_chain(n_cores, seconds):
 def test_a_medium_in_numpy_costs_more_than_one_with_a_law(monkeypatch):
     settings = load(Settings, preset_path("smoke"), ["target=flowing_slush", "grid.environments=[flowing_slush]"])
     slow = settings.model_copy(update={"work": settings.work.model_copy(update={"engine": "reference"})})
-    assert relative_cost(settings, "flowing_slush") == 1  # which has a law
+    dry, slow_dry = seconds_of_rollout(settings, "dry_land"), seconds_of_rollout(slow, "dry_land")
+    assert seconds_of_rollout(settings, "flowing_slush") == dry  # which has a law
     monkeypatch.setattr("pipeline.stages.cost.is_compiled", lambda medium: False)
-    assert relative_cost(settings, "flowing_slush") > 1
-    assert relative_cost(slow, "flowing_slush") == 1  # there the slush is in NumPy, too
+    assert seconds_of_rollout(settings, "flowing_slush") > dry
+    assert seconds_of_rollout(slow, "flowing_slush") == slow_dry  # there the slush is in NumPy, too
 
 
 def test_a_simulated_fluid_costs_what_it_says():

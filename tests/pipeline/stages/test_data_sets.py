@@ -7,7 +7,7 @@ from small_study import labelled
 from pipeline.results import study_tables
 from pipeline.stages import environments
 from pipeline.stages.collect import COLLECT
-from pipeline.stages.cost import relative_cost
+from pipeline.stages.cost import seconds_of_rollout
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
 from pipeline.stages.files import HISTORY, PREDICTIONS, SCORE, TRANSITIONS, WEIGHTS
 from pipeline.stages.segments import trial_spec
@@ -117,7 +117,8 @@ def test_trials_of_domain_randomisation_share_the_members_of_the_study_s_seed(se
     media = {"randomised_slush": settings.randomised_slush.of_study(4)}
     expected = environments.build_environment(media, "randomised_slush", 1.0, {})
     assert len(built) == 3 and all(one == expected for one in built)
-    assert relative_cost(settings, "randomised_slush") == 3
+    cost = seconds_of_rollout(settings, "true_slush")
+    assert seconds_of_rollout(settings, "randomised_slush") == pytest.approx(3 * cost)
 
 
 def test_fitness_is_the_mean_over_members_less_their_disagreement(sets):
