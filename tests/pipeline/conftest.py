@@ -11,8 +11,24 @@ from small_study import ON_DRY_LAND, run, silent, tiny
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.settings import Settings
+from pipeline.report import page
+from pipeline.report.study_page import FIGURES
 from pipeline.store.store import Store
 from pipeline.workflow.record import DrivenStudy
+
+
+@pytest.fixture(scope="session", autouse=True)
+def few_figures() -> Iterator[None]:
+    """Spare studies the drawing of all figures, which takes seconds, but where a test asks for ``all_figures``."""
+    with pytest.MonkeyPatch.context() as patch:
+        kept = ("transfer_at_depth", "fitness_curves", "elites")
+        patch.setattr(page, "FIGURES", {name: FIGURES[name] for name in kept})
+        yield
+
+
+@pytest.fixture
+def all_figures(monkeypatch) -> None:
+    monkeypatch.setattr(page, "FIGURES", FIGURES)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,9 @@ import yaml
 from scores_of import study_of
 
 from pipeline.config.settings import Settings
-from pipeline.report.page import draw_all
+from pipeline.report import page
 from pipeline.report.replay import Replay, replay_of
-from pipeline.report.study_page import StudyPage, ThrowPaths
+from pipeline.report.study_page import FIGURES, StudyPage, ThrowPaths
 from tasks.analysis.study import Assessed
 from tasks.analysis.tables import ANALYSES
 from tasks.analysis.tables.exploiters import Exploiter
@@ -112,4 +113,14 @@ def study(slush_replay, dry_replay, predicted_replay) -> StudyPage:
 @pytest.fixture(scope="session")
 def drawn(study):
     """Its figures, drawn once because that takes seconds."""
-    return draw_all(study)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "FIGURES", FIGURES)
+        return page.draw_all(study)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def in_full() -> Iterator[None]:
+    """Draw all figures here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "FIGURES", FIGURES)
+        yield

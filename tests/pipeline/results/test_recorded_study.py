@@ -234,7 +234,7 @@ def test_a_study_is_read_by_its_recorded_keys(settings, recorded, opened, tmp_pa
     store = Store.open(root, create=False)
     other = settings.model_copy(update={"seed": 7})
     with serial_cluster() as cluster:  # what the settings below lead to
-        run(other, store, cluster)
+        run(other, store, cluster, STAGES[:-1])
     store.write_study(replace(store.read_study("tiny"), settings=other.model_dump(mode="json")))
     note = "shown as it was recorded.*results of collect, train, evolve, adapt, assess, analyse;"
     with pytest.warns(UserWarning, match=note):

@@ -21,7 +21,7 @@ from tasks.world import ResidualSlush, Slush, TrueSlush
 
 
 @pytest.fixture
-def page_of(settings, tmp_path):
+def page_of(settings, tmp_path, all_figures):
     """Run the tiny study otherwise, and give its page."""
 
     def page(*overrides: str) -> str:
