@@ -40,14 +40,13 @@ def test_output_to_a_full_disk_is_a_message():
 
 
 def test_a_command_without_an_output_ends_well():
-    words = ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, "-m", "pipeline", "settings", "--preset", "smoke"]
+    words = ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, "-m", "pipeline", "servo", "--help"]
     ended = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "cp1252:strict"])
-def test_a_terminal_that_is_not_utf_8_shows_what_it_can(encoding, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONIOENCODING", encoding)
+def test_a_terminal_that_is_not_utf_8_shows_what_it_can(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "cp1252:strict")
     with (tmp_path / "shown").open("w+b") as shown:
         ended = in_a_process("settings", "--preset", "smoke", stdout=shown)
     assert (ended.returncode, ended.stderr) == (0, "")

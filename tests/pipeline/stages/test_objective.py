@@ -84,10 +84,6 @@ def test_tables_and_the_page_name_it_and_state_its_unit(fast, settings, tmp_path
     assert "best fitness [m/s]" in store.read(done, "fitness_curves.svg").decode()
 
 
-def backward(rollouts):
-    return -rollouts.displacement
-
-
 def straightness(rollouts):
     """Displacement of the root by the length of its path, with a trace of every member."""
     path = rollouts.trace[..., rollouts.n_settle - 1 :, 0, :2].astype(np.float64)
@@ -95,10 +91,7 @@ def straightness(rollouts):
 
 
 CARRIER = "displacement_per_energy"  # settings know the names that are registered before they are declared
-OWN = {
-    "backward": Objective(CARRIER, "Backward displacement", "m", backward),
-    "straightness": Objective(CARRIER, "Straightness", "", straightness, trace=True),
-}
+OWN = {"straightness": Objective(CARRIER, "Straightness", "", straightness, trace=True)}
 
 
 @pytest.fixture(scope="module", params=[*OWN, "mean_over_depths", CARRIER])  # the last leaves all as it was

@@ -28,11 +28,7 @@ assess: {n_designs: 4}
 work: {generations_per_item: 2}
 """
 
-OPERATORS = {
-    "afpo": {"random", "mutation", "crossover"},
-    "map_elites": {"random", "mutation", "crossover"},
-    "cma_es": {"random", "sample"},
-}
+OPERATORS = {"map_elites": {"random", "mutation", "crossover"}, "cma_es": {"random", "sample"}}
 
 
 TO_TRANSFER = STAGES[:5]
