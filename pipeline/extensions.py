@@ -27,11 +27,7 @@ def given() -> dict[str, list[str]]:
 
 
 def add(files: Iterable[Path]) -> None:
-    """Import files, and have every process that this one starts import them.
-
-    Raises:
-        PuddleError: a file can't be read or imported, or its name is not that of a new module.
-    """
+    """Import files, and have every process that this one starts import them."""
     from tasks.discovery import located
 
     for file in files:

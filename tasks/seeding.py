@@ -22,9 +22,6 @@ def generator(seed: int, *identity: str | int | float) -> Generator:
         seed: seed of the study, at least 0.
         identity: parts that distinguish the work item from all others, such as stage, depth, environment, trial,
             generation. Types matter: 1 and 1.0 are different identities.
-
-    Raises:
-        ValueError: the seed is negative.
     """
     seed = operator.index(seed)
     if seed < 0:

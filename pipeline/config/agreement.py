@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 
 
 def check(settings: Settings) -> None:
-    """Refuse settings whose groups contradict one another, and names of what does not exist.
-
-    Raises:
-        ValueError: the settings, what was expected and what was received.
-    """
+    """Refuse settings whose groups contradict one another, and names of what does not exist."""
     if settings.physics.passive_joints == "locked" and settings.evolution.morphology.n_actuated is None:
         raise ValueError(
             "physics.passive_joints is locked, so motors decide which links form one body: "

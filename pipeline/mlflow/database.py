@@ -94,11 +94,7 @@ def explained(error: Exception, store: Path, uri: str | None) -> str:
 
 
 def check_reachable(uri: str) -> None:
-    """Check within seconds that a server answers, where MLflow itself would try for minutes.
-
-    Raises:
-        PuddleError: it does not.
-    """
+    """Check within seconds that a server answers, where MLflow itself would try for minutes."""
     if not uri.startswith(("http://", "https://")):
         return
     from mlflow.exceptions import MlflowException

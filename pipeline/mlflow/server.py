@@ -36,9 +36,6 @@ def show_ui(store: Path, port: int, *, uri: str | None = None, study: str | None
         port: port of the server on the loopback interface.
         uri: URI of an MLflow server or database; the store's own database by default.
         study: name of the study whose runs are shown; the list of studies by default.
-
-    Raises:
-        PuddleError: the database or the server can't be used, or the port is taken.
     """
     if uri is None and not (store / "mlflow.db").is_file():
         raise PuddleError(f"{store}: expected mlflow.db, found none. `puddle study` creates it.")

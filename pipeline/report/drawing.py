@@ -73,9 +73,6 @@ def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Dra
         name: name of the figure.
         title: heading.
         draw: returns the figure and its description.
-
-    Raises:
-        NothingToDraw: by ``draw``, for a figure without data.
     """
     with mpl_style.context(_STYLE):
         figure, description = draw()

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 from pipeline.report.render import as_json
@@ -10,19 +11,10 @@ from pipeline.results.recorded_study import Study
 from pipeline.stages import STAGES
 from pipeline.store.provenance import environment as provenance
 from tasks.analysis.estimates import Mean
+from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables import ANALYSES
 
-_OF_CHAMPION = (
-    "environment",
-    "depth",
-    "trial",
-    "predicted",
-    "predicted_sd",
-    "fitness",
-    "zero_shot",
-    "adapted",
-    "passive",
-)
+_OF_CHAMPION = [field.name for field in fields(ScoredTrial) if field.name not in ("replicate", "status")]
 _MEANS = ("predicted", "zero_shot", "adapted")
 _DIGITS = 4  # decimals of a displacement [m]
 

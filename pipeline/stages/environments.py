@@ -100,9 +100,6 @@ def environment_of(
         name: name of the environment.
         depth: of the ground below the surface [m].
         ensemble: its networks, if it is a learner's.
-
-    Raises:
-        PuddleError: the code of its medium is not here.
     """
     if ensemble is not None and media[name] == "mean":
         return MeanResidual(depth, cast(Networks, ensemble))

@@ -38,9 +38,6 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
 
     Returns:
         Settings with whole paths, digests, and the number of throws.
-
-    Raises:
-        PuddleError: a file can't be read, has changed, or is not a tracks file.
     """
     tracks = settings.tracks
     if file is not None:
@@ -93,11 +90,7 @@ def _bars_path(tracks: Tracks, path: Path, *, in_rows: bool) -> Path | None:
 
 
 def outside_files(tracks: Tracks) -> Mapping[InputName, OutsideFile]:
-    """Return the files that an item reads.
-
-    Raises:
-        PuddleError: the settings lack the digests.
-    """
+    """Return the files that an item reads."""
     if tracks.sha256 is None:
         raise PuddleError(f"tracks.sha256 is null for {tracks.file}: expected the SHA-256, which the command line adds")
     files = {TRACKED: OutsideFile(tracks.file, tracks.sha256)}
@@ -116,11 +109,7 @@ class ReadTracks:
 
 
 def read_tracks(inputs: Inputs) -> ReadTracks:
-    """Return the tracks among an item's inputs.
-
-    Raises:
-        PuddleError: they are not a tracks file.
-    """
+    """Return the tracks among an item's inputs."""
     ((name, content),) = inputs[TRACKED].items()
     table, bars = read_track_table(content, name)
     for file, data in inputs.get(BARS, {}).items():
@@ -130,11 +119,7 @@ def read_tracks(inputs: Inputs) -> ReadTracks:
 
 
 def check_tracks(settings: Settings) -> Paths | None:
-    """Read and check the tracks of a study before anything is computed; return the throws, if it has any.
-
-    Raises:
-        PuddleError: the file and what is wrong with which throw and frame.
-    """
+    """Read and check the tracks of a study before anything is computed; return the throws, if it has any."""
     if settings.tracks is None:
         return None
     read = read_tracks({name: file.read() for name, file in outside_files(settings.tracks).items()})

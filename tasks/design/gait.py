@@ -33,11 +33,7 @@ def blind_controller(designs: Designs) -> Controller:
 
 
 def swing(designs: Designs, periods: Float64) -> Float64:
-    """Return the angles from rest that gaits command [rad], by f t, time in periods; (..., n_designs, n_links).
-
-    Raises:
-        DesignError: the controller senses something.
-    """
+    """Return the angles from rest that gaits command [rad], by f t, time in periods; (..., n_designs, n_links)."""
     angle: Float64 = blind_controller(designs).law(joints_of(designs, periods), lambda turns: np.sin(TURN * turns))
     return angle
 

@@ -182,11 +182,7 @@ class Designs(ArrayData):
 
     @staticmethod
     def from_table(table: DesignTable, controller: str = OPEN_LOOP) -> Designs:
-        """Create designs that share the memory of a table, which must not be changed any more.
-
-        Raises:
-            DesignError: the table is not (n_designs, n_columns) of float64.
-        """
+        """Create designs that share the memory of a table, which must not be changed any more."""
         of_link = N_PER_LINK + len(controller_named(controller).genes)
         room, left = divmod(table.shape[-1] - len(PER_DESIGN), of_link)
         if table.ndim != 2 or left or not LEAST_LINKS <= room <= MOST_LINKS or table.dtype != np.float64:

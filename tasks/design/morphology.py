@@ -196,9 +196,6 @@ def sample_allowed(
         max_draws: most samples per design.
         otherwise: (n_designs, n_columns) designs to return after that many rejections.
         controller: of the designs.
-
-    Raises:
-        DesignError: all samples of a design were rejected, and ``otherwise`` is None.
     """
     n_designs = len(first)
     n_draws = np.ones(n_designs, dtype=np.int64)

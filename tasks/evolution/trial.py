@@ -66,9 +66,6 @@ def evolve(
         n_generations: number of generations to run.
         search: what asks for designs and is told how they did.
         morphology: constraints on designs.
-
-    Raises:
-        ValueError: n_generations is less than 1.
     """
     if n_generations < 1:
         raise ValueError(f"n_generations is {n_generations}, expected at least 1")

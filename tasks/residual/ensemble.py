@@ -72,9 +72,6 @@ class Ensemble:
         """Predict the velocity changes of one step; member k of several predicts entry k of the first axis.
 
         The length of the step is implied by the throws. A state that is not finite gives a change that is not finite.
-
-        Raises:
-            ValueError: the links' first axis is not n_members long.
         """
         shape = links.y.shape
         if self.n_members > 1 and shape[:1] != (self.n_members,):

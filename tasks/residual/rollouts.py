@@ -324,9 +324,6 @@ def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physic
 
     Returns:
         (n_throws, n_times, 3) poses and velocities at the times.
-
-    Raises:
-        TrainingDiverged: a state is not finite.
     """
     sections, dt = _sections(paths), physics.time_step
     with _deterministic():

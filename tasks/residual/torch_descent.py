@@ -83,11 +83,7 @@ class TorchDescent:
         self._graph: Any = None
 
     def advance(self, n_iterations: int) -> Float64:
-        """Take iterations and return the (n_networks, n_iterations) mean loss of each minibatch.
-
-        Raises:
-            OutOfDeviceMemory: the message has the largest minibatch.
-        """
+        """Take iterations and return the (n_networks, n_iterations) mean loss of each minibatch."""
         losses = torch.empty(n_iterations, len(self._n_rows), device=self._device)
         factors = torch.from_numpy(step_factors(self._training, self._n_done, n_iterations)).to(self._device)
         try:

@@ -29,9 +29,6 @@ class TorchNetworks:
             x: (n_members, n_rows, n_inputs) inputs.
             y: (n_members, n_rows, n_outputs) outputs.
             device: number of the GPU, if there is any.
-
-        Raises:
-            OutOfTolerance: outputs have more rounding errors than those of float32.
         """
         self._on_gpu = n_cuda_devices() > 0
         where = torch.device("cuda", device) if self._on_gpu else torch.device("cpu")

@@ -117,9 +117,6 @@ def push_of(
     """Return a medium's kernel for an engine, compiled for blocks such as the given one; none if it has no law.
 
     ``member`` are the (n_groups, n_lanes) ensemble members of the robots.
-
-    Raises:
-        MediumError: the law does not compile.
     """
     if not is_compiled(medium):
         return Push(0, Block(1, block.n_lanes))

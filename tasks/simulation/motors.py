@@ -101,9 +101,6 @@ def motors_of(
         design: (n_groups, n_lanes) the design in each lane.
         sensors: where the engine has what joints sense.
         block: of the engine.
-
-    Raises:
-        DesignError: the law does not compile.
     """
     controller, of_design = controller_named(designs.controller), np.arange(len(designs))[:, None]
     n_of_link = GAINS + len(controller.genes)

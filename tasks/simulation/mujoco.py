@@ -156,11 +156,7 @@ def roll_out(
     trace: bool,
     motor_work: bool = False,
 ) -> Motion:
-    """Return the motion of designs in an environment; the arguments are those of tasks.simulation.rollout.simulate.
-
-    Raises:
-        EngineError: mujoco is not installed, or the physics have what it lacks.
-    """
+    """Return the motion of designs in an environment; the arguments are those of tasks.simulation.rollout.simulate."""
     mujoco, shorter = _imported(physics), _shorter(physics)
     physics, environment = shorter.of_physics(physics), shorter.of_environment(environment)
     medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None

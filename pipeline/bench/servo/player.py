@@ -55,10 +55,6 @@ Show = Callable[[float, Mapping[int, float], float], None]
 """Shows a run after a frame: the time since the timeline began [s], the pulses sent by channel [µs], the delay [s]."""
 
 
-class LateHostError(PuddleError):
-    """The computer fell too far behind the timeline."""
-
-
 class Clock:
     """The computer's monotonic clock [s]. Tests pass their own."""
 
@@ -162,7 +158,7 @@ class Player:
         self.worst_lateness = max(self.worst_lateness, lateness)
         if lateness > MAX_LATENESS:
             expected = f"expected at most {MAX_LATENESS:g} s. Close other programs."
-            raise LateHostError(f"this computer was {lateness:.2f} s late, {expected}")
+            raise PuddleError(f"this computer was {lateness:.2f} s late, {expected}")
         return lateness
 
     def _command(self, wanted: Mapping[int, float], *, frame: int | None = None, lateness: float | None = None) -> None:

@@ -27,11 +27,7 @@ class Bars:
 
 
 def length_scales(bars: Bars, tracks: Tracks) -> dict[str, float]:
-    """Return the long axis of each throw's bar [m of simulation], by the throw's label.
-
-    Raises:
-        TrackedBarError: a bar is not a link of the simulation, or the bars differ in density.
-    """
+    """Return the long axis of each throw's bar [m of simulation], by the throw's label."""
     for name in ("length", "width", "mass"):
         values = getattr(bars, name)
         if (k := first(~(np.isfinite(values) & (values > 0)))) is not None:

@@ -85,9 +85,6 @@ def residual_transitions(
 
     Returns:
         MeasuredTransitions with their uncertainty, ordered by throw and step, and what the tracks are like.
-
-    Raises:
-        TrackError: something is wrong with a throw or a bar, or with how bars fall.
     """
     first = smooth_throws(table, bars, tracks, physics)
     usable = np.flatnonzero(first.usable.any(axis=1))

@@ -72,10 +72,6 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     """Check a table, drop repeated frames, unwrap angles, and convert it to the simulation.
 
     Throws may have gaps and uneven frames, and rows of different throws may alternate; within a throw, times increase.
-
-    Raises:
-        TrackError: numbers that are not finite, times that do not increase, a throw of too few frames, angles that are
-            known up to less than half a turn, bars at rest, or jumps that no bar makes.
     """
     _check_finite(table)
     _check_angles(table, tracks)

@@ -91,9 +91,6 @@ def fit_plane(metres: Float64, pixels: Float64, lens: Lens, *, radial: bool = Fa
 
     Returns:
         The plane, and the root mean square of the distances left, per degree of freedom [px].
-
-    Raises:
-        CalibrationError: the points lie on a line.
     """
     rays, (x, y), zero, one = lens.rays(pixels), metres.T, np.zeros(len(metres)), np.ones(len(metres))
     first = np.stack((x, y, one, zero, zero, zero, -rays[:, 0] * x, -rays[:, 0] * y, -rays[:, 0]), axis=1)

@@ -150,11 +150,7 @@ def _fit(
 
 @functools.cache
 def _form(bases: tuple[Form, Form], acts: tuple[Callable[..., Any], Callable[..., Any]], medium: str) -> Form:
-    """Complete a form with the law of a medium: the second of two if it reads kicks.
-
-    Raises:
-        ValueError: there is no such medium, or it has no constants.
-    """
+    """Complete a form with the law of a medium: the second of two if it reads kicks."""
     medium = medium or PAPERS_TARGET
     known = {name: kind.settings for name, kind in ENVIRONMENTS.items() if kind.has_one_medium}
     fluids = [name for name, fluid in known.items() if constants_of(fluid)]

@@ -113,9 +113,6 @@ def couple(
         n_links: links of each robot.
         rows: where the blocks have the quantities of links.
         fall: what gravity adds to vy in a step [m/s].
-
-    Raises:
-        MediumError: what networks read, or how they act, does not compile.
     """
     read, act = networks.read, networks.act
     assert read is not None and act is not None  # both are of their form

@@ -10,8 +10,9 @@ import pytest
 from pipeline.bench.servo.limits import LONGEST_STEP
 from pipeline.bench.servo.log import LogEntry, ServoLog
 from pipeline.bench.servo.maestro import open_maestro
-from pipeline.bench.servo.player import MAX_LATENESS, LateHostError, Player, StopRequest, frames_of, stopped_by_signals
+from pipeline.bench.servo.player import MAX_LATENESS, Player, StopRequest, frames_of, stopped_by_signals
 from pipeline.bench.servo.servo_controller import ControllerError, DryRunController, PortLostError
+from pipeline.errors import PuddleError
 from tasks.bench.fabrication.timeline import Timeline, envelope, pulses
 
 N_FRAMES = 201
@@ -159,7 +160,7 @@ def raise_defect() -> None:
     [
         (lambda fake, clock: setattr(fake, "errors", 1 << 2), ControllerError, "serial buffer full"),
         (lambda fake, clock: raise_defect(), RuntimeError, "a defect"),
-        (lambda fake, clock: clock.sleep(2 * MAX_LATENESS), LateHostError, r"0\.\d\d s late, expected at most 0\.25 s"),
+        (lambda fake, clock: clock.sleep(2 * MAX_LATENESS), PuddleError, r"0\.\d\d s late, expected at most 0\.25 s"),
         (None, OSError, "No space left"),
     ],
 )
