@@ -43,10 +43,10 @@ def test_importing_it_loads_no_cluster_no_tracking_and_no_torch():
     assert loaded.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("shadow", ["tasks.py", "tasks/__init__.py", "pipeline/__init__.py", "puddle/README.md"])
-def test_puddle_is_imported_beside_a_user_s_own_modules(shadow, tmp_path):
-    (tmp_path / shadow).parent.mkdir(exist_ok=True)
-    (tmp_path / shadow).write_text("MINE = 1\n")
+def test_puddle_is_imported_beside_a_user_s_own_modules(tmp_path):
+    for shadow in ("tasks.py", "pipeline/__init__.py", "puddle/README.md"):
+        (tmp_path / shadow).parent.mkdir(exist_ok=True)
+        (tmp_path / shadow).write_text("MINE = 1\n")
     root = Path(puddle.__file__).parents[1]
     program = f"import sys; sys.path.append({str(root)!r}); import puddle, tasks; print(tasks.__file__)"
     ran = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)

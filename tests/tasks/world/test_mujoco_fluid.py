@@ -8,7 +8,6 @@ from tasks.design import random_designs
 from tasks.residual.throws import Starts, simulate_throws
 from tasks.simulation import batch, simulate
 from tasks.simulation.engine import links_in
-from tasks.simulation.mujoco import EngineError
 from tasks.world import DryLand, Physics
 from tasks.world.environment import Pool
 from tasks.world.medium import MediumError
@@ -90,7 +89,5 @@ def test_its_engine_alone_simulates_it():
             n_measure=3,
             trace=False,
         )
-    with pytest.raises(EngineError, match="engine is 'bullet', expected any of batch, reference, mujoco"):
-        simulate(random_designs(1, np.random.default_rng(8)), DryLand(0.0), engine="bullet")
     with pytest.raises(ValidationError, match="density"):
         MujocoFluid(density=-1.0)
