@@ -8,8 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import refused
 
+import puddle
 from pipeline.extensions import VARIABLE
+from pipeline.results.recorded_study import Study
 
 ROOT = Path(__file__).parents[2]
 HONEY, SPRINGS, FORM, CONTROLLER, *_ = re.findall(
@@ -37,69 +40,63 @@ def run(tmp_path):
     return python
 
 
-def test_workers_throw_links_into_a_medium_of_a_file(run, tmp_path):
-    """Its settings have a place, an objective of another file is known, and the record has the digest of both."""
-    given = ("--with", "molasses.py", "--with", "aims.py", "--set", "target=molasses", "--set", "molasses.decay=3")
-    options = (*given, "--set", "evolution.objective=backwards", "--tracking-uri", "http://127.0.0.1:1")
-    done = run("-m", "pipeline", "collect", "--preset", "smoke", *options, "--workers", "1", "--store", "store")
-    assert done.returncode == 0, done.stderr
-    items = [json.loads(path.read_bytes()) for path in (tmp_path / "store").rglob("manifest.json")]
-    assert {item["identity"]["spec"]["media"]["molasses"]["decay"] for item in items} == {3.0}
-    digests = {item["record"]["code"]["modules"] for item in items}
-    (tmp_path / "aims.py").write_text(OBJECTIVE + "\nlimit = 1\n")
-    again = run("-m", "pipeline", "status", "smoke", *given[:4], "--store", "store")
-    assert "A different version of the code made items of collect" in again.stderr + again.stdout, digests
+def opened(name: str, store: Path, *files: str) -> Study:
+    """Open a study in this process, which has not imported its files."""
+    with pytest.warns(UserWarning, match=f"The code of {', '.join(files)} is not here"):
+        return puddle.open_study(name, store)
 
 
 def test_results_in_a_medium_with_memory_do_not_depend_on_the_number_of_workers(run, tmp_path):
-    small = ("evolution.n_generations=2", "rollout.n_measure=100", "grid.depths=[1]", "target=springs")
-    changes = [part for one in (*small, "grid.environments=[springs]") for part in ("--set", one)]
-    found = []
+    """Its settings have a place, an objective of another file is known, and the record has the digest of both."""
+    small = ("evolution.n_generations=2", "rollout.n_measure=100", "grid.depths=[1]", "evolution.objective=backwards")
+    small += ("target=springs", "grid.environments=[springs]", "springs.stiffness=30")
+    changes = [part for one in small for part in ("--set", one)]
+    files, found = ("--with", "springs.py", "--with", "aims.py"), []
     for workers in ("0", "2"):
-        options = ("--preset", "smoke", "--with", "springs.py", "--workers", workers, "--store", workers, *changes)
+        options = ("--preset", "smoke", *files, "--workers", workers, "--store", workers, *changes)
         done = run("-m", "pipeline", "evolve", *options, "--tracking-uri", "http://127.0.0.1:1")
         assert done.returncode == 0, done.stderr
-        read = f"import puddle; print(puddle.open_study('smoke', {workers!r}).table('histories').to_pylist())"
-        found.append(run("-c", read).stdout)
-    assert found[0] == found[1] and "springs" in found[0]
+        study = opened("smoke", tmp_path / workers, "backwards", "springs")
+        assert study.settings.model_dump()["springs"]["stiffness"] == 30
+        found.append(study.table("histories"))
+    assert found[0].equals(found[1]) and set(found[0]["environment"].to_pylist()) == {"springs"}
+    assert found[0]["fitness"].to_pylist() == [-moved for (moved,) in found[0]["displacement"].to_pylist()]
+    (tmp_path / "aims.py").write_text(OBJECTIVE + "\nlimit = 1\n")
+    again = run("-m", "pipeline", "status", "smoke", *files, "--store", "0")
+    assert "A different version of the code made items of evolve" in again.stderr + again.stdout
 
 
-def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path):
+def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path, capsys):
     """They are trained and compiled as any; the study is readable without the file, which it names."""
     (tmp_path / "link_axes.py").write_text(FORM)
-    small = ("training.n_iterations=50", "evolution.n_generations=2", "transfer.n_generations=1", "grid.depths=[9]")
-    changes = [part for one in ("network.form=link_axes", *small) for part in ("--set", one)]
+    small = ("training.n_iterations=50", "evolution.n_generations=2", "transfer.n_generations=1")
+    grid = "grid={depths: [9], environments: [residual_slush], single_member_depths: [], n_trials: 1}"
+    changes = [part for one in ("network.form=link_axes", *small, grid) for part in ("--set", one)]
     options = ("--preset", "smoke", "--with", "link_axes.py", "--workers", "0", "--store", "store")
     done = run("-m", "pipeline", "study", *options, *changes, "--tracking-uri", "http://127.0.0.1:1")
     assert done.returncode == 0, done.stderr
-    read = "import puddle; study = puddle.open_study('smoke', 'store'); print(study.champions().num_rows)"
-    without = run("-c", read)
-    assert int(without.stdout) > 0 and "The code of link_axes is not here" in without.stderr
-    unknown = run("-m", "pipeline", "study", *options[:2], *changes[:2])
+    assert opened("smoke", tmp_path / "store", "link_axes").champions().num_rows
     said = "network.form: expected any of law, law_and_network, plain, signed_angle, wetted"
-    assert unknown.returncode == 2 and f"{said}, wetted_mass, got 'link_axes'" in unknown.stderr
+    assert f"{said}, wetted_mass, got 'link_axes'" in refused(capsys, "study", *options[:2], *changes[:2])
 
 
-def test_designs_evolve_with_a_controller_of_a_file(run, tmp_path):
+def test_designs_evolve_with_a_controller_of_a_file(run, tmp_path, capsys):
     """Its genes are in tables and design files; the study is readable without the file, which it names."""
     (tmp_path / "wet_swing.py").write_text(CONTROLLER)
     small = (
         "evolution.n_generations=2",
         "transfer.n_generations=2",
-        "grid.depths=[1]",
-        "grid.environments=[true_slush]",
+        "grid={depths: [1], environments: [true_slush], single_member_depths: [], n_trials: 1}",
     )
     changes = [part for one in ("evolution.controller=wet_swing", *small) for part in ("--set", one)]
     options = ("--preset", "smoke", "--with", "wet_swing.py", "--workers", "0", "--store", "store")
     done = run("-m", "pipeline", "study", *options, *changes, "--tracking-uri", "http://127.0.0.1:1")
     assert done.returncode == 0, done.stderr
-    read = "import puddle; study = puddle.open_study('smoke', 'store'); print(study.champions()['design_json'][0])"
-    without = run("-c", read)
-    gains = json.loads(without.stdout)["wet_swing.wet"]
-    assert gains[0] == 0 and max(map(abs, gains)) <= 1 and "The code of wet_swing is not here" in without.stderr
-    unknown = run("-m", "pipeline", "study", *options[:2], *changes[:2])
+    champion = opened("smoke", tmp_path / "store", "wet_swing").champions()["design_json"][0].as_py()
+    gains = json.loads(champion)["wet_swing.wet"]
+    assert gains[0] == 0 and max(map(abs, gains)) <= 1
     said = "evolution.controller: expected any of open_loop, phase, reflex, got 'wet_swing'"
-    assert unknown.returncode == 2 and said in unknown.stderr
+    assert said in refused(capsys, "study", *options[:2], *changes[:2])
 
 
 def test_a_process_without_the_file_imports_its_text(run, tmp_path):
