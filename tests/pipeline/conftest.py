@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from browser import CHROMIUM, Browser
-from command_line import call
+from command_line import WITHOUT_MLFLOW, call
 from small_study import ON_DRY_LAND, run, silent, tiny
 
 from pipeline.cluster import serial_cluster
@@ -65,7 +65,7 @@ def done(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("done")
     (folder / "tiny.yaml").write_text(ON_DRY_LAND)
     options = ["--settings", str(folder / "tiny.yaml"), "--store", str(folder / "store")]
-    assert call("study", "--workers", "0", *options) == 0
+    assert call("study", "--workers", "0", *options, *WITHOUT_MLFLOW) == 0
     return folder
 
 
