@@ -55,12 +55,12 @@ def _batched(root, *overrides: str, stage: AnyStage = EVOLVE, n_cores: float = 1
     return found, cluster.batches
 
 
-def test_adaptations_are_batched_too_and_on_ray(tmp_path, local_ray):
+def test_adaptations_are_batched_too(tmp_path):
     settings, stages = tiny(*BATCHED), (EVOLVE, ADAPT)
     with serial_cluster() as inner:
         alone = run(settings, Store.open(tmp_path / "alone", create=True), inner, list(map(_unbatched, stages)))
-    cluster = Batches(local_ray)
-    together = run(settings, Store.open(tmp_path / "together", create=True), cluster, stages)
+        cluster = Batches(inner)
+        together = run(settings, Store.open(tmp_path / "together", create=True), cluster, stages)
     assert digests(together) == digests(alone)
     assert cluster.batched == {"evolve", "adapt"}
 

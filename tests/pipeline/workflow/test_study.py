@@ -5,13 +5,16 @@ import re
 import shutil
 
 import pytest
-from small_study import digests, labelled, run
+from small_study import ON_DRY_LAND, digests, labelled, run
 from small_study import one_trial as tiny
 
 from pipeline.cluster import serial_cluster
+from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
+from pipeline.stages.adapt import ADAPT
+from pipeline.stages.evolve import EVOLVE
 from pipeline.store.store import Store
 from pipeline.workflow.graph import require, survey
 from pipeline.workflow.stage import Execution
@@ -38,6 +41,16 @@ def test_two_workers_give_the_same_bytes_as_one_process(serial_run, local_ray, t
     store = Store.open(tmp_path / "store", create=True)
     other = run(tiny(), store, local_ray, STAGES[:-1])
     assert digests(other) == {k: v for k, v in digests(upstream).items() if not k.startswith("report/")}
+
+
+def test_batches_on_two_workers_give_the_same_bytes_as_trials_in_one_process(local_ray, tmp_path):
+    def evolved(cluster, engine):
+        few = ("grid.n_trials=8", "evolution.afpo.population_size=2", f"work.engine={engine}")
+        settings = parse(Settings, ON_DRY_LAND, name="tiny", overrides=few)
+        return digests(run(settings, Store.open(tmp_path / engine, create=True), cluster, [EVOLVE, ADAPT]))
+
+    with serial_cluster() as serial:
+        assert evolved(local_ray, "batch") == evolved(serial, "reference")
 
 
 def test_the_training_device_is_part_of_a_members_identity(serial_run):
