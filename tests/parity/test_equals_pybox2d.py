@@ -27,6 +27,8 @@ ENGINES: dict[str, dict[str, Any]] = {
     "rigid bodies, locked": {"passive_joints": "locked"},
     "rigid bodies, colliding": {"link_collisions": True},
 }
+ONE_OF_EACH = pytest.mark.parametrize("engine", [*ENGINES.values()][:2], ids=[*ENGINES][:2], indirect=True)
+"""Where locks and collisions are nothing to what a test varies, which each engine meets in one place."""
 AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torque=30.0)
 OTHER_PHYSICS: dict[str, dict[str, Any]] = {
     "all other constants": OTHER_CONSTANTS,
@@ -63,6 +65,7 @@ def test_every_float_of_every_step(kind, depth: float, engine, same_libm: None, 
     assert np.isfinite(motion.final).all()
 
 
+@ONE_OF_EACH
 @pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(1.0)], ids=["dry", "slush"])
 @pytest.mark.parametrize("controller", ["open_loop", "reflex", "phase"])
 @pytest.mark.parametrize("n_links", [2, 12])
@@ -140,6 +143,7 @@ def test_every_tree(environment: Environment, physics: Physics, same_libm: None,
     assert_equal(designs, environment, physics, n_settle=20, n_measure=60)
 
 
+@ONE_OF_EACH
 @pytest.mark.parametrize(
     "environment",
     [
@@ -156,6 +160,7 @@ def test_media_that_kernels_do_not_have(environment: Environment, engine, same_l
     assert np.isfinite(motion.final).all() and motion.trace.shape == (environment.n_members, N_DESIGNS, 200, 6, 6)
 
 
+@ONE_OF_EACH
 @pytest.mark.parametrize("trace", [True, False])
 @pytest.mark.parametrize(
     ("form", "depth"),
