@@ -51,6 +51,10 @@ from tasks.world.slush import PAPERS_TARGET
 Chains = Callable[[Settings, Sequence[TrialId], Results], Iterable[ChainId]]
 
 
+def _all_done(settings: Settings, trials: Sequence[TrialId], results: Results) -> Iterable[ChainId]:
+    return results.done
+
+
 def _done_of_trials(settings: Settings, trials: Sequence[TrialId], results: Results) -> Iterable[ChainId]:
     of_stage = (trial.in_stage(results.stage) for trial in trials)
     return (trial for trial in of_stage if trial in results.done)
@@ -71,6 +75,10 @@ def _networks_that_serve(settings: Settings, trials: Sequence[TrialId], results:
     return dict.fromkeys([*members, *single])
 
 
+def _main_throws(settings: Settings, trials: Sequence[TrialId], results: Results) -> Iterable[ChainId]:
+    return chunks_of(data_sets(settings)[0], results) if settings.needs_ensemble else ()
+
+
 def chunks_of(data_set: DataSetId, collected: Results) -> list[ChunkId]:
     """List the chunks of a whole data set, also those that are not done."""
     chunks = (*collected.done, *collected.unfinished, *collected.failed)
@@ -83,18 +91,12 @@ class Content:
 
     stage: str
     files: tuple[str, ...] = ()  # where a chain has them; all files if none are named
-    chains: Chains = lambda settings, trials, results: (
-        results.done
-    )  # which an item reads for some trials; each must be complete
+    chains: Chains = _all_done  # which an item reads for some trials; each must be complete
     only_last: bool = False  # whether only the last item of each chain is read
 
 
 CONTENTS: Mapping[str, Content] = {
-    "throws": Content(
-        "collect",
-        (TRANSITIONS.name,),
-        lambda settings, trials, results: chunks_of(data_sets(settings)[0], results) if settings.needs_ensemble else (),
-    ),
+    "throws": Content("collect", (TRANSITIONS.name,), _main_throws),
     "networks": Content("train", (WEIGHTS,), _networks_that_serve),
     "curves": Content("evolve", (CURVE.name,), _done_of_trials),
     "populations": Content("evolve", (POPULATION,), _done_of_trials, only_last=True),
