@@ -7,6 +7,7 @@ file of a user's, is a source of its own law alone.
 """
 
 import contextlib
+import fcntl
 import functools
 import hashlib
 import inspect
@@ -71,12 +72,28 @@ def _warn(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
 
+_locks: dict[Callable[..., Any], Any] = {}  # open files of the kernels that this process compiles
+
+
+def _lock(function: Callable[..., Any], file: Path) -> None:
+    """Wait until no other process compiles a kernel, and keep others waiting; where a file can't be locked, do not."""
+    with contextlib.suppress(OSError):
+        _locks[function] = file.with_name(f".{file.name}-lock").open("wb")
+        fcntl.flock(_locks[function], fcntl.LOCK_EX)
+
+
+def _unlock(function: Callable[..., Any]) -> None:
+    if lock := _locks.pop(function, None):
+        Path(lock.name).unlink(missing_ok=True)  # who waits for it looks for the kernel then
+        lock.close()
+
+
 class KernelCache:
     """The compiled code of one kernel, as numba asks for it by signature."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         """Open the cache of a kernel, given its Python function."""
-        self._module = function.__module__
+        self._function, self._module = function, function.__module__
         self._source = hashlib.sha256(repr((function.__qualname__, sorted(kernel_sources(function).items()))).encode())
 
     def _file(self, signature: Any, codegen: Any) -> Path:
@@ -85,13 +102,19 @@ class KernelCache:
         return users_folder() / f"{self._module}-{digest.hexdigest()[:16]}"
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """Return the code for a signature, None if it is not here; a damaged file counts as none."""
+        """Return the code for a signature, None if it is not here, when others wait until this process has compiled it.
+
+        A damaged file counts as none.
+        """
         target_context.refresh()
         file = self._file(signature, target_context.codegen())
+        if not file.exists():
+            _lock(self._function, file)
         try:
             content = file.read_bytes()
         except OSError:
             return None
+        _unlock(self._function)
         if hashlib.sha256(content[32:]).digest() == content[:32]:
             return CompileResult._rebuild(target_context, *pickle.loads(content[32:]))
         print(f"the compiled kernel {file} is damaged and is compiled again", file=sys.stderr, flush=True)
@@ -106,10 +129,11 @@ class KernelCache:
             draft.replace(file)
         except OSError as error:
             _warn(f"a compiled kernel could not be kept for the next process: {error}")
+        _unlock(self._function)
 
 
 class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
-    """Prints a line when a kernel is compiled because it was not in the cache."""
+    """Prints a line when a kernel is compiled because it was not in the cache, and lets others try if it fails."""
 
     def on_start(self, event: Any) -> None:
         function = event.data["dispatcher"].py_func
@@ -118,7 +142,8 @@ class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
             print(f"compiling {function.__module__} ({about})", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        pass
+        if sys.exc_info()[0]:  # it does not compile
+            _unlock(event.data["dispatcher"].py_func)
 
 
 register("numba:compile", _Announcement())

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -48,6 +49,13 @@ def test_a_kernel_is_compiled_once_until_a_source_is_edited(compilations, tmp_pa
         file.write("# edited\n")
     assert compilations(tmp_path / "copy")
     assert compilations() == []
+
+
+def test_processes_that_need_a_kernel_at_once_compile_it_once(compilations, tmp_path):
+    with ThreadPoolExecutor() as pool:
+        lines = [line for done in pool.map(lambda _: compilations(), range(2)) for line in done]
+    assert lines and len(lines) == len(set(lines))
+    assert not [*tmp_path.glob("cache/*/.*")]
 
 
 def modules_reached(function, reached: dict[object, str]) -> dict[object, str]:
@@ -114,6 +122,17 @@ def test_a_damaged_kernel_is_compiled_again_with_one_line(compile_and_call, tmp_
     said = compile_and_call()
     assert said.count(f"the compiled kernel {path} is damaged") == 1 and said.count("compiling") == 1
     assert compile_and_call() == ""
+
+
+def undoable(number):
+    return number.undone
+
+
+def test_what_does_not_compile_keeps_no_other_process_waiting(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    with pytest.raises(numba.TypingError):
+        compiled(undoable, seconds=1)(21)
+    assert not [*tmp_path.glob("*/.*")]
 
 
 def test_without_a_home_kernels_are_kept_among_temporary_files(tmp_path, monkeypatch):
