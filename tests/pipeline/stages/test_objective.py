@@ -227,7 +227,7 @@ def test_a_generalist_is_selected_for_its_mean_over_depths(settings, tmp_path, d
     assert to_jsonable_python(first.spec)["fitness"]["conditions"] == [
         to_jsonable_python(Conditions(of)) for of in (0, 2, 5)
     ]
-    (paper, *_) = EVOLVE.plan(parse(Settings, SETTINGS, name="fast"))
+    (paper, *_) = EVOLVE.plan(parse(Settings, SETTINGS, name="fast", overrides=["work.engine=reference"]))
     assert first.weight == 4 * paper.weight  # rollouts of each design: three depths and the trial's own
 
 
