@@ -254,7 +254,6 @@ def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
 
 
 @table(
-    text("depth [m]", "{:g}"),
     text("robots"),
     metres("*E*"),
     share("*Ê\\** of *E*"),
@@ -266,19 +265,12 @@ def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
 )
 def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what other robots travel: shares of their *E*, and of what each keeps elsewhere of its own."""
-    for depth, study in itertools.product((9.0, 2.0), results["studies"]):
-
-        def of(arm: str, score: str = "zero_shot", study: Results = study, depth: float = depth) -> Sample:
-            return champions_of(study, arm, score, depth)
-
-        if len(best := of("true_slush")):
-            shares = [share_of(of(arm), best) for arm in ("designed_throws", "dry_land")]
-            shares += [
-                share_of(of(arm, score), of(arm))
-                for score in ("mujoco", "current")
-                for arm in ("true_slush", "designed_throws")
-            ]
-            yield depth, study["robots"], best.values.mean(), *shares
+    for study in results["studies"]:
+        best = champions_of(study, "true_slush", "zero_shot")
+        shares = [_of_best(study, arm, "zero_shot") for arm in ("designed_throws", "dry_land")]
+        for score, arm in itertools.product(("mujoco", "current"), ("true_slush", "designed_throws")):
+            shares.append(share_of(champions_of(study, arm, score), champions_of(study, arm, "zero_shot")))
+        yield study["robots"], best.values.mean(), *shares
 
 
 @table(text("evolved in"), metres("predicted"), metres("true"), text("by robot [m]"))
