@@ -258,6 +258,8 @@ def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
     metres("*E*"),
     share("*Ê\\** of *E*"),
     share("dry land of *E*"),
+    share("*E* at 1/240 s"),
+    share("*Ê\\** at 1/240 s"),
     share("*E* in MuJoCo"),
     share("*Ê\\** in MuJoCo"),
     share("*E* in a current"),
@@ -268,7 +270,7 @@ def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
     for study in results["studies"]:
         best = champions_of(study, "true_slush", "zero_shot")
         shares = [_of_best(study, arm, "zero_shot") for arm in ("designed_throws", "dry_land")]
-        for score, arm in itertools.product(("mujoco", "current"), ("true_slush", "designed_throws")):
+        for score, arm in itertools.product(("quarter_steps", "mujoco", "current"), ("true_slush", "designed_throws")):
             shares.append(share_of(champions_of(study, arm, score), champions_of(study, arm, "zero_shot")))
         yield study["robots"], best.values.mean(), *shares
 

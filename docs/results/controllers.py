@@ -18,25 +18,35 @@ from typing import Any
 import pyarrow.parquet as pq
 
 import puddle
+from pipeline.config.settings import Settings
+from pipeline.stages.environments import roll_out, simulation_spec
 from pipeline.store.design_file import design_from
 from pipeline.store.provenance import environment as provenance
+from pipeline.workflow.stage import Execution
 from tasks.design import motors_off
+from tasks.simulation import Conditions
+from tasks.world import TrueSlush
 
 DOCS = Path(__file__).resolve().parents[1]
 PAPERS = {"True Slush": "true_slush", "Dry Land": "dry_land", "3,400 designed throws": "designed_throws"}
 STUDIES = {"reflex": "`reflex`", "phase": "`phase`", "links-3": "three links", "links-9": "nine links"}
 DEPTH, N_TRIALS = 9.0, 5
+SIMULATION, QUARTER = simulation_spec(Settings(), "true_slush"), Conditions(n_substeps=4)
 
 
 def scored(row: dict[str, Any]) -> dict[str, Any]:
-    """Score a champion in the slush, and unless it evolved on dry land in MuJoCo and in a current, less its drift."""
+    """Score a champion in the slush, and unless it evolved on dry land elsewhere; in a current, less its drift."""
     design = design_from(row["design_json"].encode(), row["environment"])
 
     def displacement(design: puddle.Designs, fluid: str, engine: str = "batch") -> float:
         return float(puddle.simulate(design, fluid, depth=DEPTH, engine=engine).displacement[0])
 
+    def in_quarter_steps() -> float:
+        return float(roll_out(SIMULATION, Execution("batch"), TrueSlush(DEPTH), design, QUARTER).displacement[0])
+
     scores = {"zero_shot": displacement(design, "true_slush")}
     if row["environment"] != "dry_land":
+        scores["quarter_steps"] = in_quarter_steps()
         scores["mujoco"] = displacement(design, "true_slush", "mujoco")
         scores["current"] = displacement(design, "flowing_slush") - displacement(motors_off(design), "flowing_slush")
     known = {name: row[name] for name in ("environment", "depth", "trial")}

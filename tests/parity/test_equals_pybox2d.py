@@ -87,7 +87,11 @@ def test_controllers_that_sense(controller: str, environment: Environment, engin
     assert np.isfinite(motion.final).all()
     same = replace(designs, controller="open_loop", gains=blind.gains)
     usual = batch.roll_out(same, environment, Physics(**engine), n_settle=20, n_measure=280, trace=False)
-    assert (motion.final != usual.final).any()
+    feels = (designs.motor_on & (designs.gains[:, 0] != 0)).any(axis=1)  # the joint's angle, or its load
+    differs = (motion.final != usual.final).any(axis=(0, 2, 3))[feels]
+    assert differs.any() and (
+        differs.all() or "link_collisions" in engine
+    )  # where links jam, feeling may change nothing
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(1.0)], ids=["dry", "slush"])
@@ -120,7 +124,7 @@ def test_other_physics(changed, engine, same_libm: None, seed: int) -> None:
     designs, environment = random_designs(N_DESIGNS, np.random.default_rng(seed)), TrueSlush(0.3)
     motion = assert_equal(designs, environment, Physics(**engine, **changed), n_settle=60, n_measure=280)
     usual = batch.roll_out(designs, environment, Physics(**engine), n_settle=60, n_measure=280, trace=False)
-    assert (motion.final != usual.final).any()
+    assert (motion.final != usual.final).any(axis=(0, 2, 3)).mean() > 0.5
 
 
 @pytest.mark.parametrize("depth", [0.3, 9.0])
