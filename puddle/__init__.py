@@ -41,6 +41,7 @@ for _package in (pipeline, tasks):
 from pipeline.errors import PuddleError
 from tasks.design import GENES, Designs, crossover, mutate, random_designs
 from tasks.residual import Architecture, Throws, Training
+from tasks.residual.robot_tracks import record
 from tasks.residual.throws import throw
 from tasks.simulation import simulate
 from tasks.world import DryLand, LinkStates, Physics, Pool, RandomisedSlush, ResidualSlush, TrueSlush, VelocityChange
@@ -82,6 +83,7 @@ __all__ = [
     "open_designs",
     "open_study",
     "random_designs",
+    "record",
     "run_study",
     "save_design",
     "simulate",

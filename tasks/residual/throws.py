@@ -155,6 +155,14 @@ class Transitions(ArrayData):
         columns = [chunk.columns() for chunk in chunks]
         return cls(**{name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
 
+    @classmethod
+    def of_several(cls, data_sets: Sequence[Self]) -> Self:
+        """Join data sets of different throws, which are numbered anew, from 0."""
+        numbers = [np.unique(data_set.throw, return_inverse=True)[1] for data_set in data_sets]
+        first = np.cumsum([0, *(number.max(initial=-1) + 1 for number in numbers)])
+        numbered = zip(data_sets, numbers, first[:-1], strict=True)
+        return cls.concatenate([replace(data_set, throw=number + start) for data_set, number, start in numbered])
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredTransitions(Transitions):

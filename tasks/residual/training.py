@@ -75,7 +75,7 @@ def split_throws(throw: Int64, held_out: float, *, seed: int) -> tuple[Bools, Bo
 
 
 def learn(
-    throws: Transitions | Any,
+    throws: Transitions | Sequence[Transitions] | Any,
     *,
     n_members: int = 4,
     network: Architecture = SMALL,
@@ -94,9 +94,10 @@ def learn(
     (2, 8)
 
     Args:
-        throws: those of ``puddle.throw``, or your own: a table, such as a data frame, with a row per step of 1/60 s,
-            throw by throw, and the columns throw, a whole number; length_scale, the long axis [m]; x and y of the
-            centre, over the surface [m]; angle [rad]; vx, vy [m/s]; omega [rad/s].
+        throws: those of ``puddle.throw``, or of ``puddle.record``, or a list of them; or your own: a table, such as a
+            data frame, with a row per step of 1/60 s, throw by throw, and the columns throw, a whole number;
+            length_scale, the long axis [m]; x and y of the centre, over the surface [m]; angle [rad]; vx, vy [m/s];
+            omega [rad/s].
         n_members: number of networks.
         network: size and form of a network, by default 2 × 48 units.
         training: settings of the training, by default of a quick one.
@@ -106,6 +107,8 @@ def learn(
         TrainingDiverged: a loss is not finite.
         ValueError: the table lacks a column, or there are fewer than two throws.
     """
+    if isinstance(throws, list | tuple):
+        throws = Transitions.of_several(throws)
     throws = throws if isinstance(throws, Transitions) else Transitions.of_states(throws)
     members = [train_member(throws, network, training, seed=seed, member=member) for member in range(n_members)]
     return Ensemble.from_members([trained.arrays() for trained in members])

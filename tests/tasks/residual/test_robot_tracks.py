@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+
+from tasks.design import Designs, LinkLimits, Morphology, random_designs
+from tasks.residual import Transitions
+from tasks.residual.robot_tracks import record
+from tasks.simulation import simulate
+from tasks.world import DryLand, Physics, ResidualSlush, TrueSlush, VelocityChange, as_environment
+
+PHYSICS = Physics()
+STEPS = {"n_settle": 5, "n_measure": 60}
+
+
+def _designs(n, n_links):
+    morphology = Morphology(n_links=LinkLimits(least=n_links, most=n_links))
+    return random_designs(n, np.random.default_rng(n_links), morphology=morphology)
+
+
+@pytest.mark.parametrize("name", ["true_slush", "falling_plate"])  # without and with kicks
+def test_the_residual_is_what_the_medium_changed(name):
+    tracks, medium = record(_designs(3, 6), name, **STEPS), as_environment(name).medium
+    change = medium.velocity_change(tracks.links(PHYSICS), PHYSICS)
+    expected = np.stack((change.vx, change.vy, change.omega), axis=1)
+    # Angles pass through an arctangent and back, which rounds by 2^-23, and velocities below 32 by 2^-20, in a law of
+    # a few dozen operations.
+    assert np.abs(tracks.state[:, 3:]).max() < 32
+    assert np.abs(tracks.residual[:, 3:] - expected).max() < 40 * 2**-20
+    assert (np.abs(tracks.residual[:, 3:]) > 0.1).any() and (np.abs(tracks.kick) > 0.1).any()
+    dx = tracks.residual[:, :3] - PHYSICS.time_step * tracks.residual[:, 3:]
+    assert np.abs(dx).max() < 4 * 2**-19  # positions below 64
+
+
+def test_each_robot_is_one_throw_whose_states_are_those_of_its_rollout():
+    designs = Designs.concatenate([_designs(2, 6), _designs(2, 3)])[[0, 2, 1, 3]]
+    tracks = record(designs, "true_slush", depth=2.0, **STEPS)
+    trace, n_steps = simulate(designs, TrueSlush(2.0), trace=True, **STEPS).trace, 65
+    for robot, n_links in enumerate((6, 3, 6, 3)):
+        own = tracks[tracks.throw == robot]
+        assert len(own) == n_links * n_steps and (own.step[:n_steps] == range(n_steps)).all()
+        states, after = own.state.reshape(n_links, n_steps, 6), trace[robot, :, :n_links].swapaxes(0, 1)
+        np.testing.assert_array_equal(states[:, 1:, [0, 1, 3, 4, 5]], after[:, :-1, [0, 1, 3, 4, 5]])
+        np.testing.assert_array_equal(
+            own.length_scale[::n_steps], designs.length_scale[robot, :n_links].astype(np.float32)
+        )
+
+
+def test_what_follows_a_divergence_is_left_out():
+    class DiesBelow:
+        def velocity_change(self, links, physics):
+            nothing = np.zeros_like(links.y)
+            return VelocityChange(np.where(links.y < -2, np.nan, 0).astype(np.float32), nothing, nothing)
+
+    tracks = record(_designs(1, 6), DiesBelow(), n_settle=0, n_measure=200)
+    assert 0 < len(tracks) < 6 * 200 and np.isfinite(tracks.residual).all()
+
+
+def test_data_sets_are_joined_under_new_numbers():
+    tracks = record(_designs(2, 6), "true_slush", n_settle=0, n_measure=3)
+    joined = Transitions.of_several([tracks[tracks.throw == 1], tracks])
+    assert joined.throw.tolist() == np.repeat([0, 1, 2], 18).tolist()
+    np.testing.assert_array_equal(joined.state[18:], tracks.state)
+
+
+@pytest.mark.parametrize("environment", [DryLand(9.0), ResidualSlush(9.0, type("Two", (), {"n_members": 2})())])
+def test_an_environment_without_one_medium_is_refused(environment):
+    with pytest.raises(ValueError, match="expected one with one medium"):
+        record(_designs(1, 6), environment)
