@@ -254,6 +254,7 @@ def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
 
 
 @table(
+    text("depth [m]", "{:g}"),
     text("robots"),
     metres("*E*"),
     share("*Ê\\** of *E*"),
@@ -268,11 +269,23 @@ def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
 def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what other robots travel: shares of their *E*, and of what each keeps elsewhere of its own."""
     for study in results["studies"]:
-        best = champions_of(study, "true_slush", "zero_shot")
-        shares = [_of_best(study, arm, "zero_shot") for arm in ("designed_throws", "dry_land")]
-        for score, arm in itertools.product(("quarter_steps", "mujoco", "current"), ("true_slush", "designed_throws")):
-            shares.append(share_of(champions_of(study, arm, score), champions_of(study, arm, "zero_shot")))
-        yield study["robots"], best.values.mean(), *shares
+        depth, arms = study["depth"], ("true_slush", "designed_throws")
+        shares = [_of_best(study, arm, "zero_shot", depth) for arm in ("designed_throws", "dry_land")]
+        for score, arm in itertools.product(("quarter_steps", "mujoco", "current"), arms):
+            shares.append(share_of(*(champions_of(study, arm, one, depth) for one in (score, "zero_shot"))))
+        yield depth, study["robots"], champions_of(study, "true_slush", "zero_shot", depth).values.mean(), *shares
+
+
+@table(text("truth"), text("learns"), *(text(f"{'round ' * (not k)}{k}") for k in range(4)))
+def rounds(results: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate what the best robots of each round are predicted to travel, and travel."""
+    for arm in results["arms"]:
+        by_round: dict[int, list[Mapping[str, float]]] = {}
+        for row in arm["rounds"]:
+            by_round.setdefault(row["round"], []).append(row)
+        means = ([fmean(row[of] for row in rows) for of in ("predicted", "true")] for rows in by_round.values())
+        learns = f"`{arm['form']}`, {arm['throws']}" + ("" if arm["tries"] else ", throws alone")
+        yield arm["truth"], learns, *(f"{predicted:.1f} → {true:.1f}" for predicted, true in means)
 
 
 @table(text("evolved in"), metres("predicted"), metres("true"), text("by robot [m]"))
