@@ -1,4 +1,4 @@
-"""Files of a user's own (``--with FILE``) that register a medium, a search, an objective or an analysis.
+"""Files of a user's own (``--with FILE``) that register a medium, a form, a controller, a search or an analysis.
 
 The process that is given them reads them once. Every process imports their text, which an environment variable holds,
 before it reads anything that may need them: so workers on other machines need no file.

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyArgument, with_options
+from pipeline.commands.options import DEFAULT_STORE, Extensions, StorePath, StudyArgument, with_options
 from pipeline.commands.terminal import to_stderr, to_stdout
 from pipeline.results.export_folder import export_study
 from pipeline.results.recorded_study import open_study
@@ -21,7 +21,10 @@ def export(
             "--table", help="Write only this table; repeat for several. Default: all but the histories of designs."
         ),
     ] = None,
-    mjcf: Annotated[bool, typer.Option("--mjcf", help="Write champions as models of MuJoCo (XML), too.")] = False,
+    mjcf: Annotated[
+        bool, typer.Option("--mjcf", help="Write champions as models of MuJoCo (XML), too; oscillators alone.")
+    ] = False,
+    extensions: Extensions = None,  # noqa: ARG001 (main has imported them)
     store: StorePath = DEFAULT_STORE,
 ) -> None:
     """Write champions, tables, figures and LaTeX to a folder.

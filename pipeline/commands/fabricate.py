@@ -8,7 +8,7 @@ import typer
 from pipeline.bench.fabrication.make_kit import fabricate as make
 from pipeline.bench.fabrication.source import from_file
 from pipeline.bench.fabrication.throwing_kit import make_throwing_kit
-from pipeline.commands.options import DEFAULT_STORE, SettingsOptions, StorePath, StudyName, with_options
+from pipeline.commands.options import DEFAULT_STORE, Extensions, SettingsOptions, StorePath, StudyName, with_options
 from pipeline.commands.proposal import check_errors, proposed
 from pipeline.commands.terminal import INCOMPLETE, to_stderr, to_stdout
 from pipeline.config.loading import load, parse
@@ -35,6 +35,7 @@ def fabricate(
     despite_errors: Annotated[
         bool, typer.Option("--despite-errors", help="Build also where networks predict tracked throws badly.")
     ] = False,
+    extensions: Extensions = None,  # noqa: ARG001 (main has imported them)
     store: StorePath = DEFAULT_STORE,
 ) -> None:
     """Make the kit of a robot: parts, drawings, servo timeline.

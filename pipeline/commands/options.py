@@ -42,6 +42,10 @@ TrackingUri = Annotated[
     str | None,
     typer.Option("--tracking-uri", envvar="MLFLOW_TRACKING_URI", help="An MLflow server; default a file in the store."),
 ]
+Extensions = Annotated[
+    list[Path] | None,
+    typer.Option("--with", help="A file of your own that registers a medium, a form, a controller, a search, …"),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
 MARKERS_OPTION = typer.Option("--markers", help="Which tag is where: markers.yaml of a throwing kit.")
 LensVideo = Annotated[
@@ -95,10 +99,7 @@ class SettingsOptions:
         Path | None,
         typer.Option("--tracks", help="Learn from these tracked throws (.csv or .parquet), not from simulated ones."),
     ] = None
-    extensions: Annotated[
-        list[Path] | None,
-        typer.Option("--with", help="A file of your own that registers a medium, a search, an objective, an analysis."),
-    ] = None
+    extensions: Extensions = None
     store: StorePath = DEFAULT_STORE
 
     def __post_init__(self) -> None:

@@ -15,7 +15,7 @@ from pipeline.store.encoding import decode_arrays
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Sources, Upstream
-from tasks.design import Designs, random_designs
+from tasks.design import DesignError, Designs, Morphology, random_designs
 from tasks.evolution import OBJECTIVES, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.residual.ensemble import Ensemble
@@ -173,7 +173,7 @@ def roll_out(
             motor_work=motor_work,
             physics=conditions.of_physics(simulation.physics),
         )
-    except (MediumError, EngineError) as error:
+    except (MediumError, EngineError, DesignError) as error:
         raise PuddleError(str(error)) from error
 
 
@@ -182,7 +182,8 @@ def check_media(settings: Settings) -> None:
 
     Raises PuddleError if an engine is not here, or a medium gives no velocity change.
     """
-    design = random_designs(1, generator(0, "check"))
+    morphology, controller = Morphology(n_links=settings.design.n_links), settings.evolution.controller
+    design = random_designs(1, generator(0, "check"), morphology=morphology, controller=controller)
     for engine in settings.transfer.other_engines:
         alone = SimulationSpec(settings.physics, RolloutSettings(n_settle=0, n_measure=3), {})
         roll_out(alone, Execution(engine), DryLand(0.0), design)

@@ -90,7 +90,8 @@ def open_designs(path: str | Path) -> Designs:
             return Designs.concatenate(each)
         except DesignError as error:
             raise PuddleError(f"{path}: {error}") from None
-    names = [name for name in table.column_names if name in DTYPES or "." in name]
+    is_gain = {field.name for field in table.schema if "." in field.name and pa.types.is_nested(field.type)}
+    names = [name for name in table.column_names if name in DTYPES or name in is_gain]
     return _designs({name: table[name].to_pylist() for name in names}, str(path))
 
 

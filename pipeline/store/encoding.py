@@ -7,7 +7,8 @@ keys in random order.
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -57,14 +58,22 @@ def encode_json(value: Json) -> bytes:
 
 def decode_json(data: bytes, source: str) -> Any:
     """Return the value of a JSON document; refuse a number that is not finite."""
-
-    def refuse(constant: str) -> None:
-        raise ValueError(f"expected finite numbers, got {constant}")
-
     try:
-        return json.loads(data.decode(), parse_constant=refuse)
+        value = json.loads(data.decode())
     except ValueError as error:
         raise DamagedArtifact(f"{source}: expected a JSON document (UTF-8): {error}") from None
+    for place, number in _not_finite(value):
+        where = f"{source}: {place}" if place else source
+        raise DamagedArtifact(f"{where}: expected a finite number, got {number}")
+    return value
+
+
+def _not_finite(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the places of numbers in a JSON value that are not finite, and these numbers."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield place, value
+    for key, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from _not_finite(inner, f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip("."))
 
 
 # -- formats ---------------------------------------------------------------------------------------------------------

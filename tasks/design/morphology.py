@@ -40,7 +40,7 @@ class LinkLimits(Parameters):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.least > self.most:
-            raise ValueError(f"least is {self.least}, expected at most {self.most}, which is most")
+            raise ValueError(f"least is {self.least}, expected at most {self.most}, which is most: set both")
         return self
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from tasks.arrays import Floats
 from tasks.design.body import kinematic_trees
+from tasks.design.controllers import OPEN_LOOP
 from tasks.design.genes import Designs
 from tasks.world.mujoco_fluid import MujocoFluid
 from tasks.world.physics import Physics
@@ -25,12 +26,15 @@ def mjcf(design: Designs, depth: float, physics: Physics | None = None, fluid: M
     """Return the XML of a single design over ground at y = -depth [m], spawned as in a rollout.
 
     The target angle of the actuator ``motor-i`` at time t is rest + amplitude · sin(2π f t + phase) [rad]; the model's
-    numeric ``gait-i`` has rest, amplitude, f and phase.
+    numeric ``gait-i`` has rest, amplitude, f and phase. Of a robot with another controller than the paper's that is the
+    oscillator alone, and the model's text ``controller`` names what it lacks.
     """
     physics = physics or Physics()
     trees = kinematic_trees(design, density=physics.link_density)
     model, world = _model(physics, fluid)
     custom = Xml.SubElement(model, "custom")
+    if design.controller != OPEN_LOOP:
+        Xml.SubElement(custom, "text", name="controller", data=design.controller)
     ground = {"type": "plane", "size": "0 0 1", "pos": _numbers(0, 0, -depth), "contype": "2", "conaffinity": "1"}
     Xml.SubElement(world, "geom", ground, name="ground")
     actuators = Xml.SubElement(model, "actuator")

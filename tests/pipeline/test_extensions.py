@@ -95,6 +95,13 @@ def test_designs_evolve_with_a_controller_of_a_file(run, tmp_path, capsys):
     champion = opened("smoke", tmp_path / "store", "wet_swing").champions()["design_json"][0].as_py()
     gains = json.loads(champion)["wet_swing.wet"]
     assert gains[0] == 0 and max(map(abs, gains)) <= 1
+    page = (tmp_path / "store/studies/smoke/report/index.html").read_text()
+    assert "Robots of 6 rigid links evolve, body and controller (wet_swing) together" in page
+    export = run("-m", "pipeline", "export", "smoke", *options[2:4], "--store", "store", "--mjcf", "--out", "out")
+    assert (
+        export.returncode == 0
+        and 'data="wet_swing"' in (tmp_path / "out/champions/true_slush-1m-trial-0.xml").read_text()
+    )
     said = "evolution.controller: expected any of open_loop, phase, reflex, got 'wet_swing'"
     assert said in refused(capsys, "study", *options[:2], *changes[:2])
 

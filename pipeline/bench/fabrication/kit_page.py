@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.resources import files
+from itertools import cycle
 from math import degrees
 from typing import Any
 
@@ -100,7 +101,7 @@ def _torque(kit: Kit, bench: Bench) -> tuple[Figure, str]:
         raise NothingToDraw("no joint has a servo")
     figure = Figure(figsize=(FIGURE_WIDTH, 3.3), layout="constrained")
     axes = figure.subplots()
-    for column, (load, colour) in enumerate(zip(bench.loads, _JOINT_COLOURS, strict=False)):
+    for column, (load, colour) in enumerate(zip(bench.loads, cycle(_JOINT_COLOURS))):
         torque = bench.simulated.torque[:, column] * bench.scales.torque / kit.settings.servos_per_joint
         speed = bench.simulated.speed[:, column] * bench.scales.frequency
         in_sense = np.sign(torque) * speed
@@ -126,7 +127,7 @@ def _timeline(bench: Bench) -> tuple[Figure, str]:
     axes = figure.subplots()
     time = bench.timeline.time
     shown = time <= _SHOWN
-    for column, (joint, colour) in enumerate(zip(bench.timeline.joints, _JOINT_COLOURS, strict=False)):
+    for column, (joint, colour) in enumerate(zip(bench.timeline.joints, cycle(_JOINT_COLOURS))):
         axes.plot(time[shown], np.degrees(bench.timeline.angle[shown, column]), color=colour, label=f"joint {joint}")
     axes.set(xlabel="time [s]", ylabel="angle from rest [°]")
     axes.grid(True, color=FAINT)

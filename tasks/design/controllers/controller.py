@@ -33,7 +33,7 @@ class Joint(NamedTuple):
     cos: Any = None  # cosine of the angle between the link's long axis and the vertical
     sin: Any = None  # sine of the same angle
     spin: Any = None  # angular velocity of the link [rad/s]
-    wet: Any = None  # share of the link under the surface
+    wet: Any = None  # share of the link below y = 0, whatever the medium, dry land included
     contact: Any = None  # 1 where the link touches the ground, else 0
 
 
@@ -59,7 +59,8 @@ class Controller:
     @property
     def needs(self) -> str:
         """What the law needs beside the time, in words."""
-        return ", ".join((*self.senses, *(("a memory",) if self.remembers else ())))
+        senses = dict.fromkeys("tilt" if sense in ("cos", "sin") else sense for sense in self.senses)
+        return ", ".join((*senses, *(("a memory",) if self.remembers else ())))
 
     @property
     def is_blind(self) -> bool:
@@ -75,22 +76,47 @@ def gain(name: str, largest: float, unit: str) -> Gene:
     return Gene(name, "control", "gain", -largest, largest, unit, of_root=False)
 
 
+def _try_law(controller: Controller) -> None:
+    """Raise ValueError if a law fails for two joints at once, or does not return what it should."""
+    two = np.array((0.5, -0.5), np.float32)
+    lacks = {field for field in SENSES if field not in controller.senses}
+    lacks |= set() if controller.remembers else {"memory", "memory_above"}
+    lacks |= {"dt"} if controller.is_blind else set()
+    joint = {field: two for field in Joint._fields if field not in lacks} | {"gains": [two] * len(controller.genes)}
+    try:
+        found = controller.law(SimpleNamespace(**joint), np.sin)
+        parts = found if isinstance(found, tuple) else (found,)
+        if len(parts) != 1 + controller.remembers or any(np.shape(part) not in ((), (2,)) for part in parts):
+            wanted = "an angle and a memory" if controller.remembers else "an angle"
+            raise TypeError(f"expected {wanted} of each joint, got {found}")
+    except AttributeError as error:
+        wanted = (
+            "it among its senses"
+            if error.name in SENSES
+            else "it to remember"
+            if error.name in lacks
+            else "a field of Joint"
+        )
+        raise ValueError(f"controller {controller.name!r}: its law reads {error.name}, expected {wanted}") from None
+    except Exception as error:
+        raise ValueError(f"controller {controller.name!r}: its law failed: {error}") from error
+
+
 def register_controller(controller: Controller) -> None:
     """Add a controller to the registry.
 
     Raises:
-        ValueError: another controller has the name, it has no genes by which tables know its designs, or the law reads
-            what ``senses`` lacks.
+        ValueError: another controller has the name, it has no genes by which tables know its designs or some that are
+            no gains, or the law fails, returns something else, or reads what ``senses`` and ``remembers`` lack.
     """
     name = controller.name
     if not controller.genes and name != OPEN_LOOP:
         raise ValueError(f"controller {name!r}: expected at least one gene of its own, by which files know its designs")
-    one = np.float32(1)
-    knows = {field: one for field in Joint._fields if field not in SENSES or field in controller.senses}
-    try:
-        controller.law(SimpleNamespace(**{**knows, "gains": [one] * len(controller.genes)}), np.sin)
-    except AttributeError as error:
-        raise ValueError(f"controller {name!r}: its law reads {error.name}, expected it among its senses") from None
+    if not name.isidentifier() or len({gene.name for gene in controller.genes}) < len(controller.genes):
+        raise ValueError(f"controller {name!r}: expected a name without dots, and genes that have different ones")
+    if wrong := [gene.name for gene in controller.genes if not (gene.per_link and np.isfinite(gene.high - gene.low))]:
+        raise ValueError(f"controller {name!r}: {wrong[0]}: expected a gene of each joint, with finite bounds")
+    _try_law(controller)
     genes = tuple(replace(gene, name=f"{name}.{gene.name}") for gene in controller.genes)
     register(CONTROLLERS, "controller", name, replace(controller, genes=genes))
 
@@ -98,5 +124,6 @@ def register_controller(controller: Controller) -> None:
 def controller_named(name: str) -> Controller:
     """Return a controller; raise DesignError if there is none of the name."""
     if name not in CONTROLLERS:
-        raise DesignError(f"controller: expected any of {', '.join(CONTROLLERS)}, got {name!r}")
+        known = ", ".join(CONTROLLERS)
+        raise DesignError(f"controller: expected any of {known}, or of yours that --with names, got {name!r}")
     return CONTROLLERS[name]

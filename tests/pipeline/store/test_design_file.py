@@ -26,7 +26,10 @@ def written(folder, columns):
 def test_every_form_of_a_table_gives_the_same_designs(tmp_path):
     (tmp_path / "design.json").write_text(DOCUMENTS[0])
     assert (open_designs(tmp_path / "design.json").table == DESIGNS[:1].table).all()
-    for columns in ({**COLUMNS, "fitness": [0.0] * 5}, {"trial": list(range(5)), "design_json": DOCUMENTS}):
+    for columns in (
+        {**COLUMNS, "fitness": [0.0] * 5, "score.mean": [0.0] * 5},
+        {"trial": list(range(5)), "design_json": DOCUMENTS},
+    ):
         assert (open_designs(written(tmp_path, columns)).table == DESIGNS.table).all()
 
 

@@ -1,6 +1,7 @@
 """Artifacts come back as they went, always as the same bytes, and never damaged without a word."""
 
 import json
+import re
 from collections.abc import Callable
 
 import duckdb
@@ -187,7 +188,17 @@ def test_what_json_has_no_exact_form_for_is_refused(value: object) -> None:
             encode(value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[1,]", "1 2", "NaN", "9" * 5000, "\xff"])
+@pytest.mark.parametrize("text", ["", "{", "[1,]", "1 2", "9" * 5000, "\xff"])
 def test_bad_json_is_refused_by_name(text: str) -> None:
     with pytest.raises(PuddleError, match=r"champion\.json: expected a JSON document"):
         decode_json(text.encode("latin-1"), "champion.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "where"), [("NaN", ""), ('{"a": {"b": [1, -Infinity]}}', "a.b[1]: "), ("[[1e999]]", "[0][0]: ")]
+)
+def test_a_number_that_is_not_finite_is_refused_by_its_place(text: str, where: str) -> None:
+    with pytest.raises(
+        PuddleError, match=rf"^champion\.json: {re.escape(where)}expected a finite number, got (nan|-?inf)$"
+    ):
+        decode_json(text.encode(), "champion.json")

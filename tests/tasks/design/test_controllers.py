@@ -36,6 +36,32 @@ def harmonic():
             Controller("mine", lambda joint, sine: joint.wet, (gain("a", 1, ""),), senses=("spin",)),
             "controller 'mine': its law reads wet, expected it among its senses",
         ),
+        (
+            Controller("mine", lambda joint, sine: joint.weight, (gain("a", 1, ""),)),
+            "its law reads weight, expected a field of Joint",
+        ),
+        (
+            Controller("mine", lambda joint, sine: joint.memory, (gain("a", 1, ""),)),
+            "its law reads memory, expected it to remember",
+        ),
+        (
+            Controller("mine", lambda joint, sine: 1.0 if joint.phase > 0 else 0.0, (gain("a", 1, ""),)),
+            "its law failed: The truth value of an array",
+        ),
+        (
+            Controller("mine", lambda joint, sine: (joint.phase, joint.phase), (gain("a", 1, ""),)),
+            "its law failed: expected an angle of each joint",
+        ),
+        (
+            Controller("mine", oscillator, (gain("a", 1, ""),), remembers=True),
+            "its law failed: expected an angle and a memory of each joint",
+        ),
+        (Controller("mi.ne", oscillator, (gain("a", 1, ""),)), "expected a name without dots"),
+        (Controller("mine", oscillator, (gain("a", 1, ""), gain("a", 2, ""))), "genes that have different ones"),
+        (
+            Controller("mine", oscillator, (gain("a", np.inf, ""),)),
+            "mine': a: expected a gene of each joint, with finite",
+        ),
     ],
 )
 def test_what_can_not_be_a_controller_is_refused(controller, said):
@@ -122,6 +148,6 @@ def test_a_gait_is_known_beforehand_where_nothing_is_sensed(harmonic):
     np.testing.assert_allclose(reach(designs), np.abs(expected).max(axis=0), rtol=1e-3)
     speed = np.abs(np.diff(expected, axis=0)).max(axis=0) * 5000 * designs.frequency[:, None]
     np.testing.assert_allclose(top_speed(designs), speed, rtol=2e-3)
-    for designs, needs in ((REFLEX, "angle, speed, sin, spin, wet, contact"), (PHASE, "angle, a memory")):
+    for designs, needs in ((REFLEX, "angle, speed, tilt, spin, wet, contact"), (PHASE, "angle, a memory")):
         with pytest.raises(DesignError, match=f"needs {needs}, which servos and checks of gaits lack"):
             swing(designs, periods)

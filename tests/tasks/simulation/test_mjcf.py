@@ -48,3 +48,10 @@ def test_masses_joints_and_collisions_are_those_of_the_physics():
     assert places[:, 0] == pytest.approx(spawned.x[0], abs=1e-6)
     assert places[:, 2] == pytest.approx(spawned.y[0], abs=1e-6)
     assert data.ncon == 0  # links overlap, and pass through one another
+
+
+@pytest.mark.parametrize("controller", ["open_loop", "reflex"])
+def test_a_controller_that_the_model_lacks_is_named(controller):
+    design = random_designs(1, np.random.default_rng(1), controller=controller)
+    model = mujoco.MjModel.from_xml_string(mjcf(design, 2.0))
+    assert model.text_data.rstrip(b"\0") == (b"reflex" if controller == "reflex" else b"")

@@ -12,7 +12,8 @@ from tasks.simulation.mujoco import EngineError
 from tasks.world import DryLand, EnsembleMedium, LinkStates, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
 
 DESIGNS = random_designs(3, np.random.default_rng(8))
-SWIMMERS = replace(DESIGNS, motor_on=np.ones_like(DESIGNS.motor_on), frequency=np.full(3, 0.25))
+SWIMS = {"motor_on": np.ones_like(DESIGNS.motor_on), "frequency": np.full(3, 0.25)}
+SWIMMERS = replace(DESIGNS, **SWIMS)
 
 
 class Twice(EnsembleMedium):
@@ -24,16 +25,21 @@ class Twice(EnsembleMedium):
         return Slush().velocity_change(links, physics)
 
 
-def test_robots_swim_as_in_box2d_with_the_same_steps():
+@pytest.mark.parametrize("controller", ["open_loop", "reflex", "phase"])
+def test_robots_swim_as_in_box2d_with_the_same_steps(controller):
     """Motors and joints differ, so paths part; after four seconds by less than a tenth of what links have moved."""
+    swimmers = replace(random_designs(3, np.random.default_rng(8), controller=controller), **SWIMS)
     physics, steps = Physics(time_step=1 / 240), {"n_settle": 0, "n_measure": 960, "trace": True}
     in_box2d, in_mujoco = (
-        simulate(SWIMMERS, TrueSlush(9.0), engine=engine, physics=physics, **steps).trace
+        simulate(swimmers, TrueSlush(9.0), engine=engine, physics=physics, **steps).trace
         for engine in ("batch", "mujoco")
     )
     moved = np.abs(np.diff(in_box2d[..., :2], axis=1)).sum(axis=1).mean()
     assert np.abs(in_mujoco - in_box2d)[:, -1, :, :2].mean() < 0.1 * moved
     assert moved > 1.0
+    unfelt = replace(swimmers, gains=np.zeros_like(swimmers.gains))
+    there = simulate(unfelt, TrueSlush(9.0), engine="mujoco", physics=physics, **steps).trace
+    assert (there == in_mujoco).all() == (controller == "open_loop")
 
 
 def test_velocities_are_those_by_which_links_move():
