@@ -90,13 +90,9 @@ def _try_law(controller: Controller) -> None:
             wanted = "an angle and a memory" if controller.remembers else "an angle"
             raise TypeError(f"expected {wanted} of each joint, got {found}")
     except AttributeError as error:
-        wanted = (
-            "it among its senses"
-            if error.name in SENSES
-            else "it to remember"
-            if error.name in lacks
-            else "a field of Joint"
-        )
+        wanted = "a field of Joint"
+        if error.name in lacks:
+            wanted = "it among its senses" if error.name in SENSES else "remembers=True"
         raise ValueError(f"controller {controller.name!r}: its law reads {error.name}, expected {wanted}") from None
     except Exception as error:
         raise ValueError(f"controller {controller.name!r}: its law failed: {error}") from error

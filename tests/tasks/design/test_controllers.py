@@ -42,7 +42,7 @@ def harmonic():
         ),
         (
             Controller("mine", lambda joint, sine: joint.memory, (gain("a", 1, ""),)),
-            "its law reads memory, expected it to remember",
+            "its law reads memory, expected remembers=True",
         ),
         (
             Controller("mine", lambda joint, sine: 1.0 if joint.phase > 0 else 0.0, (gain("a", 1, ""),)),

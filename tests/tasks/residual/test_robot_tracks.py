@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from tasks.design import Designs, LinkLimits, Morphology, random_designs
-from tasks.residual import Transitions
+from tasks.residual import Throws, Training, Transitions
 from tasks.residual.robot_tracks import record
+from tasks.residual.throws import throw
+from tasks.residual.training import learn
 from tasks.simulation import simulate
 from tasks.world import DryLand, Physics, ResidualSlush, TrueSlush, VelocityChange, as_environment
 
@@ -59,6 +61,18 @@ def test_data_sets_are_joined_under_new_numbers():
     joined = Transitions.of_several([tracks[tracks.throw == 1], tracks])
     assert joined.throw.tolist() == np.repeat([0, 1, 2], 18).tolist()
     np.testing.assert_array_equal(joined.state[18:], tracks.state)
+
+
+def test_networks_learn_from_throws_and_tracks():
+    """Of the same data they are the same, however it is given; what is held out is a whole robot."""
+    throws = throw("true_slush", Throws(n_throws=4, n_steps=20))
+    tracks = record(_designs(2, 6), "true_slush", n_settle=0, n_measure=20)
+    quick = {"n_members": 1, "training": Training(n_iterations=20, batch_size=64)}
+    both, joined, alone = (
+        learn(data, **quick) for data in ([throws, tracks], Transitions.of_several([throws, tracks]), throws)
+    )
+    for first, same, other in zip(both.weights, joined.weights, alone.weights, strict=True):
+        assert np.array_equal(first, same) and not np.array_equal(first, other)
 
 
 @pytest.mark.parametrize("environment", [DryLand(9.0), ResidualSlush(9.0, type("Two", (), {"n_members": 2})())])
