@@ -1,6 +1,6 @@
 """Learn from robots, too: evolve, try the best in the truth, learn from throws and tracks, go on; writes rounds.json.
 
-.venv/bin/python docs/results/rounds.py            # half an hour on a core
+.venv/bin/python docs/results/rounds.py            # ten minutes on a core
 """
 
 import json
@@ -39,13 +39,10 @@ class Arm:
     tries: bool = True  # whether networks learn again, from the robots that were tried
 
 
-IN_FLUID = Arm("fluid", "", "struck", n_throws=100, n_steps=100, depth=4.0, n_measure=600, n_generations=60)
 ARMS = (
     Arm("falling_plate", "wetted", "robots"),
     Arm("falling_plate", "wetted", "robots", tries=False),
     Arm("falling_plate", "wetted_mass", "struck"),
-    replace(IN_FLUID, form="wetted_mass"),
-    replace(IN_FLUID, form="law:falling_plate"),
 )
 
 
