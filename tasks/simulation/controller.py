@@ -54,8 +54,8 @@ def sensing(
     """
     wet, _ = submerged_part(length, y, cos, sin)
     contact = select(lowest_corner(length, y, cos, sin) <= ground + TOTAL_RADIUS, 1.0, 0.0)
-    periods, amplitude, phase, gains, dt, memory, memory_above = joint[:7]
-    return Joint(periods, amplitude, phase, gains, dt, memory, memory_above, angle, speed, cos, sin, spin, wet, contact)
+    periods, amplitude, phase, gains, dt, memory, above, told = joint[:8]
+    return Joint(periods, amplitude, phase, gains, dt, memory, above, told, angle, speed, cos, sin, spin, wet, contact)
 
 
 @formula
@@ -86,7 +86,7 @@ class Controllers:
         )
         self._dt, self._ground = single(physics.time_step), top_of_ground(depth)
         amplitude, phase, gains = (array.astype(single) for array in joints_of(designs, designs.frequency)[1:4])
-        self._joint = Joint(None, amplitude, phase, gains, self._dt, memory=single(0), memory_above=single(0))
+        self._joint = Joint(None, amplitude, phase, gains, self._dt, *[single(0)] * 3)
 
     def target_angle(self, step: int, state: Float32, cos: Float32, sin: Float32) -> Float32:
         """Return the target angles between child and parent in a step; (n_members, n_designs, n_links) [rad].
@@ -105,9 +105,11 @@ class Controllers:
         with np.errstate(invalid="ignore", over="ignore"):  # of robots that have diverged
             angle = self.controller.law(joint, sine_of_turns)
         if self.controller.remembers:
-            angle, memory = angle
-            memory = np.where(self._jointed, memory, np.float32(0))
-            self._joint = self._joint._replace(memory=memory, memory_above=self._of_parent(memory))
+            angle, *kept = angle
+            memory, tells = (np.where(self._jointed, number, np.float32(0)) for number in kept)
+            self._joint = self._joint._replace(
+                memory=memory, memory_above=self._of_parent(memory), told=self._of_children(tells)
+            )
         target: Float32 = self._rest + np.broadcast_to(angle, state.shape[:-1])
         return target
 
@@ -117,3 +119,12 @@ class Controllers:
 
     def _of_parent(self, quantity: Float32) -> Float32:
         return np.take_along_axis(quantity, np.broadcast_to(self._parent, quantity.shape), axis=-1)
+
+    def _of_children(self, quantity: Float32) -> Float32:
+        """Return the sum of a quantity of each link's children, which the batch engine adds up in the same order."""
+        sums, n_links = np.zeros_like(quantity), quantity.shape[-1]
+        for child in range(1, n_links):
+            sums += np.where(
+                self._parent[:, child, None] == np.arange(n_links), quantity[..., child, None], np.float32(0)
+            )
+        return sums

@@ -27,7 +27,7 @@ from tasks.world.physics import Physics
 
 # Rows of the kernel's own block: of a robot, and then of each link's joint with its parent; the root's are not used.
 DT, GROUND, GAIN, LIMIT, FREQUENCY, OF_ROBOT = range(6)
-REST, AMPLITUDE, PHASE, MEMORY, GAINS = range(5)
+REST, AMPLITUDE, PHASE, MEMORY, ABOVE, TOLD, TELLS, GAINS = range(8)
 
 
 class Sensors(NamedTuple):
@@ -42,11 +42,12 @@ class Sensors(NamedTuple):
     sin: int
     motor_speed: int
     stride: int  # rows from a link to the next
+    later: int  # 1 if a link's children have numbers in the designs' order, -1 if in the reverse order
 
 
 # Of a kernel, which has its own.
 LAW: Callable[..., Any] = tuple
-AT, N_LINKS, N_GAINS, REMEMBERS = Sensors(*[0] * 9), 0, 0, False
+AT, N_LINKS, N_GAINS, REMEMBERS = Sensors(*[0] * 10), 0, 0, False
 
 
 @inline
@@ -58,16 +59,30 @@ def _of_parent(block: Block, row: int, stride: int, parent: Lanes, n_links: int)
     return gathered
 
 
+@inline
+def _ask_neighbours(block: Block, own: Block, at: Sensors, n_links: int, n_rows: int) -> None:
+    """Set what joints know of those of their parents and children: what these returned in the step before."""
+    for link in range(1, n_links):
+        row, told = OF_ROBOT + link * n_rows, own[FREQUENCY] * 0.0
+        own[row + ABOVE] = _of_parent(own, OF_ROBOT + MEMORY, n_rows, block[at.parent + link * at.stride], n_links)
+        for other in range(1, n_links):
+            child = other if at.later > 0 else n_links - other
+            tells = own[OF_ROBOT + child * n_rows + TELLS]
+            told = told + select(block[at.parent + child * at.stride] == link, tells, 0.0)
+        own[row + TOLD] = told
+
+
 def _command_motors(block: Block, own: Block, step: int) -> None:
     """Set the speeds of the motors of a group of robots."""
     dt, n_rows = own[DT], GAINS + N_GAINS
     periods = own[FREQUENCY] * (dt * np.float32(step))
-    for link in range(N_LINKS - 1, 0, -1):  # children first: they read what their parents remember of the step before
+    if REMEMBERS:
+        _ask_neighbours(block, own, AT, N_LINKS, n_rows)
+    for link in range(1, N_LINKS):
         k, of_joint = link * AT.stride, from_row(own, OF_ROBOT + link * n_rows)
-        parent, rest, memory = block[AT.parent + k], of_joint[REST], of_joint[MEMORY]
-        memory_above = _of_parent(own, OF_ROBOT + MEMORY, n_rows, parent, N_LINKS)
-        gains = from_row(of_joint, GAINS)
-        blind = Joint(periods, of_joint[AMPLITUDE], of_joint[PHASE], gains, dt, memory, memory_above)
+        parent, rest, gains = block[AT.parent + k], of_joint[REST], from_row(of_joint, GAINS)
+        kept = of_joint[MEMORY], of_joint[ABOVE], of_joint[TOLD]
+        blind = Joint(periods, of_joint[AMPLITUDE], of_joint[PHASE], gains, dt, *kept)
         joint_angle = block[AT.angle + k] - _of_parent(block, AT.angle, AT.stride, parent, N_LINKS)
         omega = block[AT.omega + k]
         speed = omega - _of_parent(block, AT.omega, AT.stride, parent, N_LINKS)
@@ -76,7 +91,7 @@ def _command_motors(block: Block, own: Block, step: int) -> None:
             sensing(blind, joint_angle - rest, speed, length, y, cos, sin, omega, own[GROUND]), sine_of_turns
         )
         if REMEMBERS:
-            angle, of_joint[MEMORY] = commanded
+            angle, of_joint[MEMORY], of_joint[TELLS] = commanded
         else:
             angle = commanded
         block[AT.motor_speed + k] = motor_speed(rest + angle, joint_angle, own[GAIN], own[LIMIT])

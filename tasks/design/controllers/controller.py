@@ -26,8 +26,9 @@ class Joint(NamedTuple):
     phase: Any  # the gene phase [turns]
     gains: Any  # the controller's own genes, by index
     dt: Any = None  # time step [s]
-    memory: Any = None  # what the law returned beside the target of the step before; 0 at first
+    memory: Any = None  # what the law returned to be remembered in the step before; 0 at first
     memory_above: Any = None  # the same of the parent's joint; 0 where the parent is the root
+    told: Any = None  # sum of what the joints of the link's children told in the step before; 0 at first
     angle: Any = None  # of the joint, from rest [rad]
     speed: Any = None  # of the joint [rad/s]
     cos: Any = None  # cosine of the angle between the link's long axis and the vertical
@@ -51,7 +52,7 @@ class Controller:
     name: str
     law: Law
     """Returns the target angle from rest [rad] of a :class:`Joint`, given the sine of angles in turns; with
-    ``remembers``, that and a number to remember."""
+    ``remembers``, that, a number to remember, and one to tell the parent's joint."""
     genes: tuple[Gene, ...] = ()  # of each joint
     senses: tuple[str, ...] = ()  # what the law reads of SENSES
     remembers: bool = False
@@ -80,14 +81,14 @@ def _try_law(controller: Controller) -> None:
     """Raise ValueError if a law fails for two joints at once, or does not return what it should."""
     two = np.array((0.5, -0.5), np.float32)
     lacks = {field for field in SENSES if field not in controller.senses}
-    lacks |= set() if controller.remembers else {"memory", "memory_above"}
+    lacks |= set() if controller.remembers else {"memory", "memory_above", "told"}
     lacks |= {"dt"} if controller.is_blind else set()
     joint = {field: two for field in Joint._fields if field not in lacks} | {"gains": [two] * len(controller.genes)}
     try:
         found = controller.law(SimpleNamespace(**joint), np.sin)
         parts = found if isinstance(found, tuple) else (found,)
-        if len(parts) != 1 + controller.remembers or any(np.shape(part) not in ((), (2,)) for part in parts):
-            wanted = "an angle and a memory" if controller.remembers else "an angle"
+        if len(parts) != (3 if controller.remembers else 1) or any(np.shape(part) not in ((), (2,)) for part in parts):
+            wanted = "an angle, a memory and what to tell" if controller.remembers else "an angle"
             raise TypeError(f"expected {wanted} of each joint, got {found}")
     except AttributeError as error:
         wanted = "a field of Joint"

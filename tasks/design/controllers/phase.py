@@ -1,7 +1,9 @@
-"""Coupled oscillators: each joint's phase is pulled by its load, and by the oscillator of its parent's joint.
+"""Coupled oscillators: each joint's phase is pulled by its load, and by the oscillators of its neighbours.
 
     target    = A · sin(2π (f t + phase + lead))
-    dlead/dt  = load · (target - angle) + coupling · sin(2π (lead of the parent's joint - lead))
+    dlead/dt  = load · (target - angle) + coupling · Σ sin(2π (lead of a neighbour - lead))
+
+The neighbours are the parent's joint and the children's, whose sines are a step old.
 
 The lead, in turns, is what an oscillator is ahead of its genes; it is 0 at first, and of the root, always. A motor that
 does not reach its target has a load. The root holds the oscillators of its joints to the common time, and each holds
@@ -17,11 +19,12 @@ LOAD, COUPLING = range(2)
 
 
 def law(joint: Any, sine: Callable[[Any], Any]) -> Any:
-    """Return the target angle from rest [rad] and the lead after the step [turns]."""
+    """Return the target angle from rest [rad], the lead after the step [turns], and the pull on the parent's joint."""
     lead = joint.memory
     target = joint.amplitude * sine(joint.periods + joint.phase + lead)
-    rate = joint.gains[LOAD] * (target - joint.angle) + joint.gains[COUPLING] * sine(joint.memory_above - lead)
-    return target, lead + joint.dt * rate
+    pull = sine(joint.memory_above - lead)
+    rate = joint.gains[LOAD] * (target - joint.angle) + joint.gains[COUPLING] * (pull + joint.told)
+    return target, lead + joint.dt * rate, -pull
 
 
 register_controller(

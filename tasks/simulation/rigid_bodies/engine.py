@@ -32,7 +32,7 @@ _OF_LINKS = Rows(
     unkicked=tuple(_ROWS[f"unkicked_{name}"] for name in ("vx", "vy", "omega")),
     stride=_LINKS.itemsize // 4,
 )
-_SENSORS = Sensors(**{name: _ROWS[name] for name in Sensors._fields if name != "stride"}, stride=_OF_LINKS.stride)
+_SENSORS = Sensors(**{name: _ROWS[name] for name in Sensors._fields[:-2]}, stride=_OF_LINKS.stride, later=1)
 
 
 def _advance_robots_with_networks(

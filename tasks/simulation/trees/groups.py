@@ -30,6 +30,7 @@ _SENSORS = Sensors(
     layout.SIN,
     layout.MOTOR_SPEED - 1,
     stride=1,
+    later=-1,
 )
 _ROWS = Rows(
     read=tuple(layout.QUANTITIES.values()),

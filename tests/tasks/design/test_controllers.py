@@ -54,7 +54,7 @@ def harmonic():
         ),
         (
             Controller("mine", oscillator, (gain("a", 1, ""),), remembers=True),
-            "its law failed: expected an angle and a memory of each joint",
+            "its law failed: expected an angle, a memory and what to tell of each joint",
         ),
         (Controller("mi.ne", oscillator, (gain("a", 1, ""),)), "expected a name without dots"),
         (Controller("mine", oscillator, (gain("a", 1, ""), gain("a", 2, ""))), "genes that have different ones"),

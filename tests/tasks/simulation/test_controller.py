@@ -57,18 +57,20 @@ def test_what_a_link_senses() -> None:
     assert joint.contact.tolist() == [0, 0, 1, 0, 1, 0]  # 0, 0.22, 0 and 0.03 m above the ground; the skins are 0.02 m
 
 
-def test_loads_hold_an_oscillator_back_and_the_parent_s_pulls_it() -> None:
-    """One step of dlead/dt = load · (target - angle) + coupling · sin(2π (lead above - lead)), from given leads."""
+def test_loads_hold_an_oscillator_back_and_its_neighbours_pull_it() -> None:
+    """dlead/dt = load · (target - angle) + coupling · Σ sin(2π (lead of a neighbour - lead)), the children's a step old."""
     designs = random_designs(20, np.random.default_rng(8), controller="phase")
     controllers = Controllers(designs, Physics(), 9.0)
     state = np.random.default_rng(9).normal(size=(1, 20, 6, 6)).astype(np.float32)
-    for step in (0, 1):
+    of_children = np.zeros((1, 20, 6))
+    for step in range(3):
         before = np.broadcast_to(controllers._joint.memory, (1, 20, 6)).astype(float)
         target = controllers.target_angle(step, state, np.zeros(()), np.zeros(()))
         parent = np.maximum(designs.parent, 0)[None]
         turned = controllers.less_parent(state[..., 2])
         pull = np.sin(2 * np.pi * (np.take_along_axis(before, parent, 2) - before))
-        rate = designs.gains[:, 0] * (target - turned) + designs.gains[:, 1] * pull
+        rate = designs.gains[:, 0] * (target - turned) + designs.gains[:, 1] * (pull + of_children)
+        of_children = np.stack([-(pull * (designs.parent == link)).sum(axis=2) for link in range(6)], axis=2)
         expected = before + rate * DT * (np.arange(6) > 0)
         np.testing.assert_allclose(controllers._joint.memory, expected, rtol=1e-5, atol=1e-6)
-        assert (expected != before)[..., 1:].any()
+    assert (of_children[..., 1:] != 0).any()
