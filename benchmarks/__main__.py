@@ -49,6 +49,7 @@ def main() -> None:
         engines.steps,
         engines.bodies,
         engines.packing,
+        engines.controllers,
         evolution.own_work,
         engines.two_processes,
         networks.inference,

@@ -34,9 +34,9 @@ AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torq
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
 
-def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it is frozen)
+def designs(morphology: Morphology = Morphology(), controller: str = "open_loop") -> Designs:  # noqa: B008 (it is frozen)
     """Draw the same generation of designs in every call."""
-    return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
+    return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology, controller=controller)
 
 
 def _batch(designs: Designs, environment: Environment) -> float:
@@ -137,6 +137,20 @@ def bodies() -> list[Benchmark]:
     return figures
 
 
+def controllers() -> list[Benchmark]:
+    """Step a generation that senses, and one that does not."""
+    environment, of = TrueSlush(9.0), {name: designs(controller=name) for name in ("open_loop", "reflex", "phase")}
+    times: dict[str, list[float]] = {name: [] for name in of}
+    for _ in range(1 + N_ROUNDS):
+        for name, population in of.items():
+            times[name].append(_batch(population, environment))
+    blind = times.pop("open_loop")[1:]  # the first compiles
+    return [
+        Benchmark(f"a generation of {name} over one of open_loop", _over(ours[1:], blind), "times", 1.3)
+        for name, ours in times.items()
+    ]
+
+
 def _over(theirs: list[float], ours: list[float]) -> list[float]:
     return [a / b for a, b in zip(theirs, ours, strict=True)]
 
@@ -145,7 +159,7 @@ def packing() -> list[Benchmark]:
     """Time the packing of 64 designs, repeated and once after rollouts as in a study, as a share of the rollouts."""
     population, environment = designs(), TrueSlush(9.0)
     scene = batch.scene_of(environment, _PHYSICS)
-    pack = partial(Groups, population, _PHYSICS, environment.medium, n_members=1, n_lanes=WIDEST)
+    pack = partial(Groups, population, environment.depth, _PHYSICS, environment.medium, n_members=1, n_lanes=WIDEST)
     again, once = [], []
     for _ in range(N_ROUNDS):
         groups = pack()

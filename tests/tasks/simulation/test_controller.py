@@ -58,7 +58,7 @@ def test_what_a_link_senses() -> None:
 
 
 def test_loads_hold_an_oscillator_back_and_its_neighbours_pull_it() -> None:
-    """dlead/dt = load · (target - angle) + coupling · Σ sin(2π (lead of a neighbour - lead)), the children's a step old."""
+    """dlead/dt = load · (target - angle) + coupling · Σ sin(2π (a neighbour's - lead)), the children's a step old."""
     designs = random_designs(20, np.random.default_rng(8), controller="phase")
     controllers = Controllers(designs, Physics(), 9.0)
     state = np.random.default_rng(9).normal(size=(1, 20, 6, 6)).astype(np.float32)
