@@ -45,17 +45,18 @@ def drag(length_scale: float, spacing: float, length: float, depth: float, durat
 
 
 def robots() -> None:
-    """Print displacements of the study's champions at 4 m, at both spacings, and their correlation."""
+    """Print displacements at 4 m of the study's champions and of random designs, at both spacings, and correlations."""
     study = puddle.open_study("fluid")
     places = [(row["environment"], row["trial"]) for row in study.champions().to_pylist()]
     champions = Designs.concatenate([study.champion(name, depth=4.0, trial=trial) for name, trial in places])
-    root, whole = [], []
-    for spacing in (0.25, 0.125):
-        done = puddle.simulate(champions, puddle.Pool(4.0, FluidFlume(spacing=spacing)), n_settle=200, n_measure=600)
-        print(spacing, done.displacement.round(2), done.com_displacement.round(2))
-        root.append(done.displacement)
-        whole.append(done.com_displacement)
-    print("R of the root and of the whole robot", np.corrcoef(root)[0, 1], np.corrcoef(whole)[0, 1])
+    for designs in (champions, puddle.random_designs(20, np.random.default_rng(1))):
+        root, whole = [], []
+        for spacing in (0.25, 0.125):
+            done = puddle.simulate(designs, puddle.Pool(4.0, FluidFlume(spacing=spacing)), n_settle=200, n_measure=600)
+            print(spacing, done.displacement.round(2), done.com_displacement.round(2))
+            root.append(done.displacement)
+            whole.append(done.com_displacement)
+        print("R of the root and of the whole robot", np.corrcoef(root)[0, 1], np.corrcoef(whole)[0, 1])
 
 
 def film() -> None:
