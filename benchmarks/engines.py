@@ -6,6 +6,8 @@ import multiprocessing
 import os
 import statistics
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -139,19 +141,17 @@ def bodies() -> list[Benchmark]:
 
 def controllers() -> list[Benchmark]:
     """Step a generation that senses, and one that does not."""
-    environment, of = TrueSlush(9.0), {name: designs(controller=name) for name in ("open_loop", "reflex", "phase")}
-    times: dict[str, list[float]] = {name: [] for name in of}
-    for _ in range(1 + N_ROUNDS):
-        for name, population in of.items():
-            times[name].append(_batch(population, environment))
-    blind = times.pop("open_loop")[1:]  # the first compiles
-    return [
-        Benchmark(f"a generation of {name} over one of open_loop", _over(ours[1:], blind), "times", 1.3)
-        for name, ours in times.items()
-    ]
+    environment, figures, no_gains = TrueSlush(9.0), [], designs().gains
+    for name in ("reflex", "phase"):
+        feeling = designs(controller=name)
+        blind = replace(feeling, controller="open_loop", gains=no_gains)
+        rounds = [[_batch(one, environment) for one in (feeling, blind)] for _ in range(1 + N_ROUNDS)]
+        ratios = _over(*zip(*rounds[1:], strict=True))  # the first compiles
+        figures.append(Benchmark(f"a generation of {name} over one of open_loop", ratios, "times", 1.3))
+    return figures
 
 
-def _over(theirs: list[float], ours: list[float]) -> list[float]:
+def _over(theirs: Sequence[float], ours: Sequence[float]) -> list[float]:
     return [a / b for a, b in zip(theirs, ours, strict=True)]
 
 

@@ -80,7 +80,7 @@ def _summarise_trial(trial: ChainId, items: Sequence[Files]) -> Summary:
 
 EVOLVE = Stage(
     name="evolve",
-    version=2,
+    version=3,
     unit="generations",
     reads=lambda settings: ("train",) if settings.needs_ensemble else (),
     plan=_plan,

@@ -104,12 +104,12 @@ class Controllers:
             joint = sensing(joint, turned, speed, self._length, y, cos, sin, omega, self._ground)
         with np.errstate(invalid="ignore", over="ignore"):  # of robots that have diverged
             angle = self.controller.law(joint, sine_of_turns)
-        if self.controller.remembers:
-            angle, *kept = angle
-            memory, tells = (np.where(self._jointed, number, np.float32(0)) for number in kept)
-            self._joint = self._joint._replace(
-                memory=memory, memory_above=self._of_parent(memory), told=self._of_children(tells)
-            )
+            if self.controller.remembers:
+                angle, *kept = angle
+                memory, tells = (np.where(self._jointed, number, np.float32(0)) for number in kept)
+                self._joint = self._joint._replace(
+                    memory=memory, memory_above=self._of_parent(memory), told=self._of_children(tells)
+                )
         target: Float32 = self._rest + np.broadcast_to(angle, state.shape[:-1])
         return target
 

@@ -88,8 +88,10 @@ def _try_law(controller: Controller) -> None:
         found = controller.law(SimpleNamespace(**joint), np.sin)
         parts = found if isinstance(found, tuple) else (found,)
         if len(parts) != (3 if controller.remembers else 1) or any(np.shape(part) not in ((), (2,)) for part in parts):
-            wanted = "an angle, a memory and what to tell" if controller.remembers else "an angle"
-            raise TypeError(f"expected {wanted} of each joint, got {found}")
+            wanted = (
+                "an angle, a number to remember and one to tell its parent's" if controller.remembers else "an angle"
+            )
+            raise TypeError(f"expected of each joint {wanted}, got {found}")
     except AttributeError as error:
         wanted = "a field of Joint"
         if error.name in lacks:

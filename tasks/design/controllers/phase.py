@@ -3,7 +3,7 @@
     target    = A · sin(2π (f t + phase + lead))
     dlead/dt  = load · (target - angle) + coupling · Σ sin(2π (lead of a neighbour - lead))
 
-The neighbours are the joints of the parent and of the children, whose pull arrives a step later.
+The neighbours are the joints of the parent and of the children; the children's pull is that of the step before.
 
 The lead, in turns, is what an oscillator is ahead of its genes; it is 0 at first, and of the root, always. A motor that
 does not reach its target has a load. The root holds the oscillators of its joints to the common time, and each holds

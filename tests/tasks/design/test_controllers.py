@@ -50,11 +50,15 @@ def harmonic():
         ),
         (
             Controller("mine", lambda joint, sine: (joint.phase, joint.phase), (gain("a", 1, ""),)),
-            "its law failed: expected an angle of each joint",
+            "its law failed: expected of each joint an angle, got",
         ),
         (
             Controller("mine", oscillator, (gain("a", 1, ""),), remembers=True),
-            "its law failed: expected an angle, a memory and what to tell of each joint",
+            "its law failed: expected of each joint an angle, a number to remember and one to tell its parent's, got",
+        ),
+        (
+            Controller("mine", lambda joint, sine: (joint.phase, joint.memory), (gain("a", 1, ""),), remembers=True),
+            "its law failed: expected of each joint an angle, a number to remember and one to tell its parent's, got",
         ),
         (Controller("mi.ne", oscillator, (gain("a", 1, ""),)), "expected a name without dots"),
         (Controller("mine", oscillator, (gain("a", 1, ""), gain("a", 2, ""))), "genes that have different ones"),
