@@ -126,7 +126,7 @@ CHANGED = {
             "    bend: Float64\n    hollow: Bools\n    girth: Float64\n    frequency: Float64  #",
         )
     ],
-    "pipeline/stages/evolve.py": [("    version=2,\n", "    version=3,\n")],
+    "pipeline/stages/evolve.py": [("    version=3,\n", "    version=4,\n")],
 }
 
 
