@@ -49,7 +49,6 @@ def main() -> None:
         engines.steps,
         engines.bodies,
         engines.packing,
-        engines.controllers,
         evolution.own_work,
         engines.two_processes,
         networks.inference,

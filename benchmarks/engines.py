@@ -6,8 +6,6 @@ import multiprocessing
 import os
 import statistics
 import time
-from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -36,9 +34,9 @@ AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torq
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
 
-def designs(morphology: Morphology = Morphology(), controller: str = "open_loop") -> Designs:  # noqa: B008 (it is frozen)
+def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it is frozen)
     """Draw the same generation of designs in every call."""
-    return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology, controller=controller)
+    return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
 
 
 def _batch(designs: Designs, environment: Environment) -> float:
@@ -139,19 +137,7 @@ def bodies() -> list[Benchmark]:
     return figures
 
 
-def controllers() -> list[Benchmark]:
-    """Step a generation that senses, and one that does not."""
-    environment, figures, no_gains = TrueSlush(9.0), [], designs().gains
-    for name in ("reflex", "phase"):
-        feeling = designs(controller=name)
-        blind = replace(feeling, controller="open_loop", gains=no_gains)
-        rounds = [[_batch(one, environment) for one in (feeling, blind)] for _ in range(1 + N_ROUNDS)]
-        ratios = _over(*zip(*rounds[1:], strict=True))  # the first compiles
-        figures.append(Benchmark(f"a generation of {name} over one of open_loop", ratios, "times", 1.3))
-    return figures
-
-
-def _over(theirs: Sequence[float], ours: Sequence[float]) -> list[float]:
+def _over(theirs: list[float], ours: list[float]) -> list[float]:
     return [a / b for a, b in zip(theirs, ours, strict=True)]
 
 
