@@ -104,7 +104,7 @@ class Flume:
         *,
         length: float = 24.0,
         depth: float = 4.0,
-        spacing: float = 0.25,
+        spacing: float = 0.125,
         density: float = 1.25,
         gravity: float = 9.8,
         time_step: float = 1 / 60,
@@ -134,12 +134,14 @@ class Flume:
         )
         self._number = np.empty(shape, np.int64)
         self._open_water = np.zeros((n_columns * shape[1], 2 * shape[1] + 1))
+        self._factor = np.zeros_like(self._open_water)
         self._project(self._open_water, is_known=False)
+        self._factor[:] = self._open_water / self._open_water[:, :1]
 
     def _project(self, band: Float64, *, is_known: bool) -> None:
         grid, links, water = self.grid, self.links, self.water
         order = cell_order(len(water.rise), round(links.pose[:, 0].mean() / grid.spacing))
-        project(grid, links, water, self.cover, order, self._number, band, is_known)
+        project(grid, links, water, self.cover, order, self._number, band, self._factor, is_known)
 
     @property
     def length(self) -> float:

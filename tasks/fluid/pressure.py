@@ -26,21 +26,35 @@ _LEAK = 0.01  # what of a face leads from a cell that links cover out of the flu
 
 
 @inline
-def _eliminate(band: Float64, right: Float64, n_known: int) -> None:
+def _eliminate(band: Float64, right: Float64, first: int) -> None:
     """Eliminate what is below the diagonal of a symmetric matrix: ``band[i, k]`` is the element (i, i + k).
 
-    The first rows are known, as they are after that, and have only the first right-hand side.
+    The rows before the first are done.
     """
     n, width = band.shape
-    for i in range(n):
+    for i in range(first, n):
         for k in range(1, min(width, n - i)):
             factor = band[i, k] / band[i, 0]
             if factor != 0.0:
-                if i + k >= n_known:
-                    for m in range(width - k):
-                        band[i + k, m] -= factor * band[i, k + m]
-                for column in range(right.shape[1] if i >= n_known else 1):
+                for m in range(width - k):
+                    band[i + k, m] -= factor * band[i, k + m]
+                for column in range(right.shape[1]):
                     right[i + k, column] -= factor * right[i, column]
+
+
+@inline
+def _eliminate_known(band: Float64, factor: Float64, right: Float64, n_known: int) -> None:
+    """Eliminate the first rows, whose band is known after that, and which have only the first right-hand side."""
+    n, width = band.shape
+    flow = right[:, 0].copy()
+    for i in range(n_known):
+        here, below = flow[i], flow[i + 1 : i + width]
+        for k in range(len(below)):
+            below[k] -= factor[i, 1 + k] * here
+        for k in range(n_known - i, min(width, n - i)):
+            for m in range(width - k):
+                band[i + k, m] -= factor[i, k] * band[i, k + m]
+    right[:, 0] = flow
 
 
 @inline
@@ -192,7 +206,15 @@ def _push_water(grid: Grid, water: Water, number: Int64, pressure: Float64) -> N
 
 
 def _project(
-    grid: Grid, links: Links, water: Water, cover: Cover, order: Int64, number: Int64, band: Float64, is_known: bool
+    grid: Grid,
+    links: Links,
+    water: Water,
+    cover: Cover,
+    order: Int64,
+    number: Int64,
+    band: Float64,
+    factor: Float64,
+    is_known: bool,
 ) -> None:
     """Replace tentative velocities of the fluid and the links by those without divergence.
 
@@ -204,6 +226,7 @@ def _project(
         order: columns of cells in the order of elimination, links last.
         number: (n_columns, n_rows) place for the numbers of the cells.
         band: (n_columns · n_rows, 2 · n_rows + 1) A after the elimination; where is_known, first of open water.
+        factor: (n_columns · n_rows, 2 · n_rows + 1) of rows in the elimination of open water.
         is_known: whether the elimination begins where links are.
     """
     n, n_known = _count(cover, order, number)
@@ -212,6 +235,7 @@ def _project(
     band, right = band[:n], np.zeros((n, 1 + 3 * len(links.length)))
     band[n_known:] = 0.0
     _assemble(grid, links, water, cover, number, band, right, n_known)
+    _eliminate_known(band, factor, right, n_known)
     _eliminate(band, right, n_known)
     _push_links(links, band, right, n_known)
     for link in range(len(links.length)):

@@ -27,8 +27,8 @@ class FluidFlume(Parameters):
     density: float = Field(default=1.25, gt=0.0, le=1e4)
     """ρ [kg/m²]; the slush's."""
     spacing: float = Field(default=0.125, ge=0.02, le=0.33)
-    """Edge of a cell of the grid [m]; a link, at least 0.33 m wide, must be wider. Robots go as far on a finer grid, but
-    not on one of 0.25 m, which is five times as fast."""
+    """Edge of a cell of the grid [m]; a link, at least 0.33 m wide, must be wider. Robots go as far on a finer grid,
+    but not on one of 0.25 m, which is five times as fast."""
     length: float = Field(default=24.0, ge=4.0, le=1000.0)
     """Length of a robot's flume [m]. A robot that goes further than that meets its own wake."""
     bar_length: float = Field(default=12.0, ge=4.0, le=1000.0)
