@@ -104,7 +104,7 @@ class Flume:
         *,
         length: float = 24.0,
         depth: float = 4.0,
-        spacing: float = 0.125,
+        spacing: float = 0.25,
         density: float = 1.25,
         gravity: float = 9.8,
         time_step: float = 1 / 60,

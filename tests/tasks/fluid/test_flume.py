@@ -115,15 +115,16 @@ SUBMERGED = [
 
 
 PIERCING = [
-    (2.0, (12.0, -0.1, np.pi / 2), (3.0, 0.0, 0.0), 0.11),
-    (2.0, (12.0, 0.5, 0.5), (3.0, -3.0, 0.0), 0.07),
-    (1.0, (12.0, 0.0, 0.3), (3.0, -1.0, 2.0), 0.06),
-    (2.0, (12.0, -1.0, 0.5), (3.0, 3.0, 0.0), 0.05),
-]  # shares of the momentum that the surface gives: docs/fluid.md
+    (2.0, (12.0, -0.1, np.pi / 2), (3.0, 0.0, 0.0)),
+    (2.0, (12.0, 0.5, 0.5), (3.0, -3.0, 0.0)),
+    (1.0, (12.0, 0.0, 0.3), (3.0, -1.0, 2.0)),
+    (2.0, (12.0, -1.0, 0.5), (3.0, 3.0, 0.0)),
+]
 
 
 @pytest.mark.parametrize(
-    ("length_scale", "pose", "velocity", "share"), [(*link, 0.02) for link in SUBMERGED] + PIERCING
+    ("length_scale", "pose", "velocity", "share"),
+    [(*link, 0.02) for link in SUBMERGED] + [(*link, 0.08) for link in PIERCING],
 )
 def test_momentum_is_conserved(length_scale, pose, velocity, share):
     """In a second, of the water and a link that was kicked, and that loses most of its speed meanwhile."""
@@ -141,10 +142,9 @@ def test_energy_is_never_gained(length_scale, pose, velocity):
     for _ in range(90):
         links.step()
         energy.append(links.energy())
-    # What a face holds is counted while it is open: a link that opens a row of them moves less than 1 % of the energy
-    # to and fro, from one step to the next. Over a tenth of a second there is no gain.
-    assert (np.array(energy[6:]) < energy[:-6]).all()
-    assert (np.array(energy) <= np.minimum.accumulate(energy) * 1.01).all()
+    # The surface of a step is that before the pressure, so energy is known to the order of dt: waves of 0.5 m and less
+    # at 3 rad/s and more move 1e-3 of it to and fro. It must not grow over more than that.
+    assert (np.array(energy) <= np.minimum.accumulate(energy) * 1.002).all()
     assert energy[-1] < 0.7 * energy[0]
 
 
