@@ -288,13 +288,15 @@ def rounds(results: Results) -> Iterable[tuple[Any, ...]]:
         yield arm["truth"], learns, *(f"{predicted:.1f} → {true:.1f}" for predicted, true in means)
 
 
-@table(text("evolved in"), metres("predicted"), metres("true"), text("by robot [m]"))
+@table(text("evolved in"), metres("predicted"), metres("zero-shot"), metres("adapted"), text("zero-shot → adapted [m]"))
 def in_the_fluid(study: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate how far the champions of each arm go."""
     for name in dict.fromkeys(row["environment"] for row in study["champions"]):
         rows = [row for row in study["champions"] if row["environment"] == name]
-        true = [row["zero_shot"] for row in rows]
-        yield _label(name), fmean(row["predicted"] for row in rows), fmean(true), ", ".join(f"{x:.1f}" for x in true)
+        scores = [[row[score] for row in rows] for score in ("predicted", "zero_shot", "adapted")]
+        by_robot = (" → ".join(f"{x:.1f}" for x in robot if x is not None) for robot in zip(*scores[1:], strict=True))
+        means = (fmean(of) if None not in of else None for of in scores)
+        yield _label(name), *means, ", ".join(by_robot)
 
 
 @table(

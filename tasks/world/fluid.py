@@ -39,7 +39,7 @@ class FluidFlume(Parameters):
     @property
     def seconds_per_step(self) -> float:
         """Approximate time that a core takes for a step of a robot in water 4 m deep, for forecasts [s]."""
-        return 5e-4 * math.pow(0.25 / self.spacing, 2.5) * self.length / 24
+        return 1e-3 * math.pow(0.25 / self.spacing, 2.5) * self.length / 24
 
     def start(self, links: LinkStates, physics: Physics, depth: float) -> Flumes:
         """Return still water around designs."""

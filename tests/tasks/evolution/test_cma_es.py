@@ -23,7 +23,7 @@ def test_it_converges_on_an_optimum_around_the_corner() -> None:
         fitness = -((away * scales) ** 2).sum(axis=1)
         return Evaluation(fitness, *[fitness[:, None]] * 3)
 
-    population, history = run([150], CmaEs(population_size=16), score=bowl)
+    population, history = run([170], CmaEs(population_size=16), score=bowl)
     assert population.fitness[0] > -1e-8
     np.testing.assert_allclose(population.designs.to_vector()[0, X], optimum, atol=1e-4)
     first = history["generation"] == 0
