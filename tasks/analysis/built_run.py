@@ -20,6 +20,7 @@ from tasks.world import Environment, Physics
 
 _FREQUENCIES = np.linspace(0.5, 2.0, 1501)  # shares of the gait's that are tried
 _MOST_OFF = 0.1  # share by which the frequency of a gait may differ
+_STILL = 1e-9  # share of the links' variance below which a link is still but for rounding
 _LEAST_SWING = 0.5  # share of the links' motion that a gait must explain
 _FULL_SWING = 0.9  # share of the run's full swing above which the gait is steady
 _DEVIATIONS = 2.0  # of the ensemble, that its interval has to either side
@@ -143,8 +144,9 @@ def gait_frequency(time: Float64, angle: Float64, expected: float) -> float:
     Raises RunError if they do not, or not at about the one that is expected.
     """
     tried, share = expected * _FREQUENCIES, angle.var(axis=0) / max(angle.var(axis=0).sum(), 1e-12)
-    power = [lombscargle(time, of, 2 * np.pi * tried, normalize=True, floating_mean=True) for of in angle.T]
-    explained = share @ np.array(power)
+    moves = share > _STILL
+    power = [lombscargle(time, of, 2 * np.pi * tried, normalize=True, floating_mean=True) for of in angle.T[moves]]
+    explained = share[moves] @ np.reshape(power, (-1, len(tried)))
     frequency = float(tried[int(np.argmax(explained))])
     slack = max(_MOST_OFF, 0.5 / (expected * (time[-1] - time[0])))
     if explained.max() < _LEAST_SWING or abs(frequency / expected - 1) > slack:

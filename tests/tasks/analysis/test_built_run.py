@@ -66,6 +66,13 @@ def test_the_frequency_of_a_gait_is_measured(frequency):
     assert gait_frequency(TIME, angle, 0.8) == pytest.approx(frequency, rel=0.005)
 
 
+@pytest.mark.parametrize("still", [0.0, 1e-8])
+def test_a_joint_that_is_locked_has_no_say(still):
+    """It has no variance to compare with, or only that of rounding."""
+    angle = np.column_stack((swinging(0.8), 0.3 + still * (np.arange(len(TIME)) % 2)))
+    assert gait_frequency(TIME, angle, 0.8) == pytest.approx(0.8, rel=0.005)
+
+
 @pytest.mark.parametrize(("frequency", "swing", "why"), [(1.2, 1.0, r"swing at 1\.20 Hz"), (0.8, 0.0, "do not swing")])
 def test_another_gait_or_none_is_not_of_this_kit(frequency, swing, why):
     angle = swing * swinging(frequency)[:, None] + 0.01 * np.random.default_rng(0).normal(size=(len(TIME), 1))
