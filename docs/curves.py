@@ -5,7 +5,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from tables import champions_of, share_of
+from samples import champions_of, share_of
 
 DOCS = Path(__file__).resolve().parent
 FORMS = {

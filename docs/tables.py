@@ -14,25 +14,31 @@ from dataclasses import Field, make_dataclass
 from os.path import relpath
 from pathlib import Path
 from statistics import fmean
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from samples import (
+    Results,
+    champions_of,
+    compared_anew,
+    exploiters,
+    label_of,
+    share_of,
+    share_of_best,
+    shares_by_data_set,
+    with_conditions,
+)
 from scipy.stats import ttest_ind
 
 from pipeline.report.render import as_markdown
 from tasks.analysis import paper
 from tasks.analysis.columns import column
-from tasks.analysis.estimates import Estimate, Mean, Sample, ratio, sample_of
-from tasks.analysis.scores import ScoredTrial
-from tasks.analysis.tables import ANALYSES
+from tasks.analysis.estimates import Estimate, Mean
 from tasks.analysis.tables.transfer import papers_mean
-from tasks.residual import arm_kind
 
 ROOT = Path(__file__).resolve().parents[1]
 SECTION = re.compile(r"<!-- table (\w+) of (.+?) -->\n.*?<!-- end -->", re.S)
 
-Results = Mapping[str, Any]
 Tabulate = Callable[..., Iterable[tuple[Any, ...]]]
 TABLES: dict[str, tuple[type, Tabulate]] = {}
 
@@ -81,14 +87,14 @@ def shares_by(label: str) -> Any:
 )
 def shares(study: Results, robust: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate how far champions go at 9 m, of *E* with usual and with shorter steps."""
-    study = _with_conditions(study, robust)
+    study = with_conditions(study, robust)
     for arm in study["arms"]:
         name, zero_shot = arm["environment"], arm["zero_shot"]["mean"]
         if name == "true_slush" and arm["depth"] == paper.DEPTH:
-            yield _label(name), None, zero_shot, None, None, _of_best(study, name, "adapted")
+            yield label_of(name), None, zero_shot, None, None, share_of_best(study, name, "adapted")
         elif name != "designed_single_member" and arm["depth"] == paper.DEPTH:
-            of = (_of_best(study, name, score) for score in ("zero_shot", "quarter_steps", "adapted"))
-            yield _label(name), arm["predicted"]["mean"], zero_shot, *of
+            of = (share_of_best(study, name, score) for score in ("zero_shot", "quarter_steps", "adapted"))
+            yield label_of(name), arm["predicted"]["mean"], zero_shot, *of
 
 
 @table(
@@ -102,7 +108,7 @@ def shares(study: Results, robust: Results) -> Iterable[tuple[Any, ...]]:
 )
 def front(large: Results, small: Results, redrawn: Results, robust: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate shares of the same *E*, that of the second study, at 9 m, beside the paper's numbers."""
-    large, small, random = (_with_conditions(study, robust) for study in (large, small, redrawn["studies"][0]))
+    large, small, random = (with_conditions(study, robust) for study in (large, small, redrawn["studies"][0]))
     for evolved, study, name in (
         ("on dry land", small, "dry_land"),
         ("under large networks, from the paper’s throws", large, "residual_slush"),
@@ -112,8 +118,8 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
         row: list[Any] = []
         for score in ("zero_shot", "adapted"):
             papers, whole = papers_mean(name, score, paper.DEPTH), papers_mean(*paper.BEST, paper.DEPTH)
-            finer = [_of_best(study, name, "quarter_steps", best_of=small)] if score == "zero_shot" else []
-            row += [_of_best(study, name, score, best_of=small), *finer, papers and whole and papers / whole]
+            finer = [share_of_best(study, name, "quarter_steps", best_of=small)] if score == "zero_shot" else []
+            row += [share_of_best(study, name, score, best_of=small), *finer, papers and whole and papers / whole]
         yield evolved, len(champions_of(study, name, "zero_shot").values), *row
 
 
@@ -130,7 +136,7 @@ def depths(study: Results) -> Iterable[tuple[Any, ...]]:
     arms = {(arm["environment"], arm["depth"]): arm["zero_shot"]["mean"] for arm in study["arms"]}
     for depth in sorted({depth for _, depth in arms}):
         names = ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
-        yield depth, arms["true_slush", depth], *(_of_best(study, name, "zero_shot", depth) for name in names)
+        yield depth, arms["true_slush", depth], *(share_of_best(study, name, "zero_shot", depth) for name in names)
 
 
 @table(
@@ -145,11 +151,11 @@ def depths(study: Results) -> Iterable[tuple[Any, ...]]:
 )
 def robustness(robust: Results, study: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what *E* travels in other conditions at all depths, and the shares of two arms with shorter steps."""
-    study, columns = _with_conditions(study, robust), ("one", "starts", "half_steps", "quarter_steps", "continuous")
+    study, columns = with_conditions(study, robust), ("one", "starts", "half_steps", "quarter_steps", "continuous")
     for depth in sorted({row["depth"] for row in study["champions"]}):
         best = (fmean(champions_of(study, "true_slush", column, depth).values) for column in columns)
         names = ("randomised_slush", "designed_throws")
-        yield depth, *best, *(_of_best(study, name, "quarter_steps", depth) for name in names)
+        yield depth, *best, *(share_of_best(study, name, "quarter_steps", depth) for name in names)
 
 
 @table(
@@ -164,7 +170,7 @@ def verdicts(*studies: Results) -> Iterable[tuple[Any, ...]]:
     rows: dict[tuple[str, str], list[Any]] = {}
     for k, study in enumerate(studies):
         others = [row for row in study["champions"] if row["environment"] != "true_slush"]
-        anew = {row["what"]: row for row in _compared({**study, "champions": [*best, *others]}, "True Slush")}
+        anew = {row["what"]: row for row in compared_anew({**study, "champions": [*best, *others]}, "True Slush")}
         for row in (anew.get(row["what"], row) for row in study["comparison"]):
             if row["interval"] and not row["what"].startswith("Student"):
                 what = re.sub(",? at 9 m", "", row["what"])
@@ -189,10 +195,10 @@ def variants(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
         best = fmean(champions_of(whole, "true_slush", "zero_shot", depth).values)
         for arm in (arm for arm in study["arms"] if arm["environment"] != "true_slush"):
             name, (predicted, true) = arm["environment"], (arm[of]["mean"] for of in ("predicted", "zero_shot"))
-            by_data_set = _by_data_set(champions_of(study, name, "zero_shot", None), best)
+            by_data_set = shares_by_data_set(champions_of(study, name, "zero_shot", None), best)
             varied = study["variant"] if "throws" in study["series"] else f"{study['series']} {study['variant']}"
-            share_of_best = _of_best(study, name, "zero_shot", depth, best_of=whole)
-            yield varied, _label(name), predicted, true, share_of_best, by_data_set, _exploiters([study], name)
+            shown = share_of_best(study, name, "zero_shot", depth, best_of=whole)
+            yield varied, label_of(name), predicted, true, shown, by_data_set, exploiters([study], name)
 
 
 @table(
@@ -204,11 +210,11 @@ def throws(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
     for form, n_throws in dict.fromkeys(key[:2] for key in studies):
         by_depth = {depth: study for (*what, depth), study in studies.items() if what == [form, n_throws]}
         of_best = [
-            _of_best(by_depth[depth], name, score, depth, best_of=whole) if depth in by_depth else None
+            share_of_best(by_depth[depth], name, score, depth, best_of=whole) if depth in by_depth else None
             for depth in (9.0, 2.0)
             for score in ("zero_shot", "adapted")
         ]
-        yield f"{n_throws}, {form}", *of_best, _exploiters(by_depth.values(), name)
+        yield f"{n_throws}, {form}", *of_best, exploiters(by_depth.values(), name)
 
 
 _SHOWN = {25, 100, 500}  # throws of the curves; docs/curves.png has all
@@ -270,7 +276,7 @@ def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what other robots travel: shares of their *E*, and of what each keeps elsewhere of its own."""
     for study in results["studies"]:
         depth, arms = study["depth"], ("true_slush", "designed_throws")
-        shares = [_of_best(study, arm, "zero_shot", depth) for arm in ("designed_throws", "dry_land")]
+        shares = [share_of_best(study, arm, "zero_shot", depth) for arm in ("designed_throws", "dry_land")]
         for score, arm in itertools.product(("quarter_steps", "mujoco", "current"), arms):
             shares.append(share_of(*(champions_of(study, arm, one, depth) for one in (score, "zero_shot"))))
         yield depth, study["robots"], champions_of(study, "true_slush", "zero_shot", depth).values.mean(), *shares
@@ -296,7 +302,7 @@ def in_the_fluid(study: Results) -> Iterable[tuple[Any, ...]]:
         scores = [[row[score] for row in rows] for score in ("predicted", "zero_shot", "adapted")]
         by_robot = (" → ".join(f"{x:.1f}" for x in robot if x is not None) for robot in zip(*scores[1:], strict=True))
         means = (fmean(of) if None not in of else None for of in scores)
-        yield _label(name), *means, ", ".join(by_robot)
+        yield label_of(name), *means, ", ".join(by_robot)
 
 
 @table(
@@ -343,7 +349,7 @@ def tank(results: Results) -> Iterable[tuple[Any, ...]]:
         )
         of_exact = None if exact is None else share_of(true, exact)
         exact = exact or true
-        by_data_set = _by_data_set(true, fmean(exact.values))
+        by_data_set = shares_by_data_set(true, fmean(exact.values))
         yield study["learned_from"], fmean(predicted.values), fmean(true.values), of_exact, by_data_set
 
 
@@ -373,8 +379,8 @@ def learning(results: Results) -> Iterable[tuple[Any, ...]]:
     for study in results["studies"]:
         (arm,) = (arm for arm in study["arms"] if arm["environment"] == name)
         predicted, true = (arm[quantity]["mean"] for quantity in ("predicted", "zero_shot"))
-        of_best = _of_best(study, name, "zero_shot", study["depth"])
-        yield study["decided"], study["instead"], predicted, true, of_best, _exploiters([study], name)
+        of_best = share_of_best(study, name, "zero_shot", study["depth"])
+        yield study["decided"], study["instead"], predicted, true, of_best, exploiters([study], name)
 
 
 # -- make bench ------------------------------------------------------------------------------------------------------
@@ -390,87 +396,6 @@ def bench(results: Results) -> Iterable[tuple[Any, ...]]:
 
 
 # --------------------------------------------------------------------------------------------------------------------
-
-
-def _label(environment: str) -> str:
-    kind = arm_kind(environment)
-    return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
-
-
-def _exploiters(studies: Iterable[Results], environment: str) -> str:
-    """Count champions of an arm that travel less than half of their prediction."""
-    champions = [row for study in studies for row in study["champions"] if row["environment"] == environment]
-    return f"{sum(row['zero_shot'] < row['predicted'] / 2 for row in champions)} of {len(champions)}"
-
-
-def champions_of(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
-    """Return the champions of an arm at a depth, or all; those of the same data set or draw belong together.
-
-    A gain is what is travelled beyond the same bodies with motors off, where that was measured. There are none if a
-    score of one of them was not.
-    """
-    rows = [
-        row | {"gain": row["zero_shot"] - row.get("passive", 0.0)}
-        for row in study["champions"]
-        if row["environment"] == environment and depth in (row["depth"], None)
-    ]
-    learned = environment != study.get("fluid") and arm_kind(environment).learned
-    redrawn = environment == "randomised_slush" and study.get("series") == "parameters"
-    n_data_sets = study["n_replicates"] if learned or redrawn else 1
-    if any(score not in row for row in rows):
-        rows = []
-    return sample_of(
-        np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows], int)
-    )
-
-
-def _compared(study: Results, arm: str) -> list[dict[str, Any]]:
-    """Compare a study's means and shares of an arm with the paper's anew, as its results file has them."""
-    trials = [
-        ScoredTrial(
-            name, row["depth"], row["trial"], row["trial"] % n, zero_shot=row["zero_shot"], adapted=row["adapted"]
-        )
-        for row in study["champions"]
-        for name in [row["environment"]]
-        for n in [study["n_replicates"] if arm_kind(name).learned else 1]
-    ]
-    settings, rng = SimpleNamespace(data_sets=(), assessed_depth=paper.DEPTH), lambda *_: np.random.default_rng(0)
-    rows: Any = ANALYSES["paper"].compute(SimpleNamespace(trials=trials, settings=settings, rng=rng))  # type: ignore[arg-type]
-    written = (row.this_run.partition(" (") for row in rows)
-    return [
-        {"what": row.what, "paper": row.paper, "this_run": value, "interval": ends[:-1], "verdict": row.verdict}
-        for row, (value, _, ends) in zip(rows, written, strict=True)
-        if row.kind == "number" and arm in row.what
-    ]
-
-
-def share_of(part: Sample, whole: Sample) -> Estimate:
-    """Estimate the ratio of the means of two groups of champions."""
-    return ratio(part, whole, rng=np.random.default_rng(0))
-
-
-def _of_best(
-    study: Results, environment: str, score: str, depth: float = paper.DEPTH, *, best_of: Results | None = None
-) -> Estimate:
-    """Estimate an arm's share of what *E*, that of its own study by default, travels zero-shot in the same steps."""
-    of_best = "zero_shot" if score == "adapted" else score
-    return share_of(
-        champions_of(study, environment, score, depth), champions_of(best_of or study, "true_slush", of_best, depth)
-    )
-
-
-def _with_conditions(study: Results, robust: Results) -> Results:
-    """Add what each champion travels in other conditions, where it was measured; its displacement tells who it is."""
-    measured = {(row["environment"], row["depth"], round(row["one"], 2)): row for row in robust["champions"]}
-    champions = [
-        {**measured.get((row["environment"], row["depth"], round(row["zero_shot"], 2)), {}), **row}
-        for row in study["champions"]
-    ]
-    return {**study, "champions": champions}
-
-
-def _by_data_set(sample: Sample, best: float) -> tuple[float, ...]:
-    return tuple(float(sample.values[sample.replicate == k].mean() / best) for k in np.unique(sample.replicate))
 
 
 def _section(marked: re.Match[str], page: Path) -> str:

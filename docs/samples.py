@@ -1,0 +1,100 @@
+"""Champions of results files: their scores as samples, their shares of what *E* travels, and their names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from tasks.analysis import paper
+from tasks.analysis.estimates import Estimate, Sample, ratio, sample_of
+from tasks.analysis.scores import ScoredTrial
+from tasks.analysis.tables import ANALYSES
+from tasks.residual import arm_kind
+
+Results = Mapping[str, Any]
+
+
+def label_of(environment: str) -> str:
+    """Name an arm and its symbol."""
+    kind = arm_kind(environment)
+    return f"{kind.label}, *{kind.symbol.replace('*', chr(92) + '*')}*"
+
+
+def exploiters(studies: Iterable[Results], environment: str) -> str:
+    """Count champions of an arm that travel less than half of their prediction."""
+    champions = [row for study in studies for row in study["champions"] if row["environment"] == environment]
+    return f"{sum(row['zero_shot'] < row['predicted'] / 2 for row in champions)} of {len(champions)}"
+
+
+def champions_of(study: Results, environment: str, score: str, depth: float | None = paper.DEPTH) -> Sample:
+    """Return the champions of an arm at a depth, or all; those of the same data set or draw belong together.
+
+    A gain is what is travelled beyond the same bodies with motors off, where that was measured. There are none if a
+    score of one of them was not.
+    """
+    rows = [
+        row | {"gain": row["zero_shot"] - row.get("passive", 0.0)}
+        for row in study["champions"]
+        if row["environment"] == environment and depth in (row["depth"], None)
+    ]
+    learned = environment != study.get("fluid") and arm_kind(environment).learned
+    redrawn = environment == "randomised_slush" and study.get("series") == "parameters"
+    n_data_sets = study["n_replicates"] if learned or redrawn else 1
+    if any(score not in row for row in rows):
+        rows = []
+    return sample_of(
+        np.array([row[score] for row in rows]), np.array([row["trial"] % n_data_sets for row in rows], int)
+    )
+
+
+def compared_anew(study: Results, arm: str) -> list[dict[str, Any]]:
+    """Compare a study's means and shares of an arm with the paper's anew, as its results file has them."""
+    trials = [
+        ScoredTrial(
+            name, row["depth"], row["trial"], row["trial"] % n, zero_shot=row["zero_shot"], adapted=row["adapted"]
+        )
+        for row in study["champions"]
+        for name in [row["environment"]]
+        for n in [study["n_replicates"] if arm_kind(name).learned else 1]
+    ]
+    settings, rng = SimpleNamespace(data_sets=(), assessed_depth=paper.DEPTH), lambda *_: np.random.default_rng(0)
+    rows: Any = ANALYSES["paper"].compute(SimpleNamespace(trials=trials, settings=settings, rng=rng))  # type: ignore[arg-type]
+    written = (row.this_run.partition(" (") for row in rows)
+    return [
+        {"what": row.what, "paper": row.paper, "this_run": value, "interval": ends[:-1], "verdict": row.verdict}
+        for row, (value, _, ends) in zip(rows, written, strict=True)
+        if row.kind == "number" and arm in row.what
+    ]
+
+
+def share_of(part: Sample, whole: Sample) -> Estimate:
+    """Estimate the ratio of the means of two groups of champions."""
+    return ratio(part, whole, rng=np.random.default_rng(0))
+
+
+def share_of_best(
+    study: Results, environment: str, score: str, depth: float = paper.DEPTH, *, best_of: Results | None = None
+) -> Estimate:
+    """Estimate an arm's share of what *E*, that of its own study by default, travels zero-shot in the same steps."""
+    of_best = "zero_shot" if score == "adapted" else score
+    return share_of(
+        champions_of(study, environment, score, depth), champions_of(best_of or study, "true_slush", of_best, depth)
+    )
+
+
+def with_conditions(study: Results, robust: Results) -> Results:
+    """Add what each champion travels in other conditions, where it was measured; its displacement tells who it is."""
+    measured = {(row["environment"], row["depth"], round(row["one"], 2)): row for row in robust["champions"]}
+    champions = [
+        {**measured.get((row["environment"], row["depth"], round(row["zero_shot"], 2)), {}), **row}
+        for row in study["champions"]
+    ]
+    return {**study, "champions": champions}
+
+
+def shares_by_data_set(sample: Sample, best: float) -> tuple[float, ...]:
+    """Return the mean of each data set as a share of what the best travel."""
+    return tuple(float(sample.values[sample.replicate == k].mean() / best) for k in np.unique(sample.replicate))
