@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from tasks.analysis import paper
-from tasks.analysis.estimates import Estimate, Sample, ratio, sample_of
+from tasks.analysis.estimates import Estimate, Sample, of_means, ratio, sample_of
 from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables import ANALYSES
 from tasks.residual import arm_kind
 
 Results = Mapping[str, Any]
+
+ROUNDS = 3  # of evolution; after the first two, networks learn from the best robots
 
 
 def label_of(environment: str) -> str:
@@ -83,6 +86,52 @@ def share_of_best(
     return share_of(
         champions_of(study, environment, score, depth), champions_of(best_of or study, "true_slush", of_best, depth)
     )
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What robots that evolved under a learner keep zero-shot."""
+
+    of_best: Estimate  # of what *E* gains
+    of_prediction: Estimate
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A world that robots are tried in, and what learners of 50 throws are worth there."""
+
+    label: str
+    best: float  # [m] what *E* gains
+    learners: Mapping[str, Kept]
+
+
+def truths(kicks: Results, curves: Results, rounds: Results) -> Iterator[Truth]:
+    """Compare learners in every truth; some have an *E* of their own, of the same search."""
+    of_curves = {study["fluid"]: study for study in curves["studies"]}
+    for study in kicks["studies"]:
+        fluid = study["fluid"]
+        sides = {"law": (study, "law"), "both": (study, "slush_both"), "wetted": (study, "wetted")}
+        if fluid in of_curves:
+            sides = {name: (of_curves[fluid], f"{name}_50") for name in sides}
+        sides |= {"mass": (study, "mass"), "drawn": (study, "randomised_slush")}
+        for arm in rounds["arms"]:
+            if arm["truth"] == fluid and arm["n_rounds"] == ROUNDS:
+                name = "tried" if arm["form"] == "wetted" else "tried_mass"
+                last = [row for row in arm["rounds"] if row["round"] == ROUNDS - 1]
+                at = {"environment": name, "depth": study["depth"]}
+                tried = [{**row, **at, "trial": row["seed"], "zero_shot": row["true"]} for row in last]
+                sides[name] = {**study, "champions": [*study["champions"], *tried]}, name
+        kept = {}
+        for name, (side, arm) in sides.items():
+            gain, true, predicted, best = (
+                champions_of(side, of, score, study["depth"])
+                for of, score in ((arm, "gain"), (arm, "zero_shot"), (arm, "predicted"), (fluid, "gain"))
+            )
+            if len(gain):
+                pairs = np.stack((true.values, predicted.values), axis=1)  # of the same robots
+                (of_prediction,) = of_means(lambda means: means[..., :1] / means[..., 1:], pairs, true.replicate)
+                kept[name] = Kept(share_of(gain, best), of_prediction)
+        yield Truth(study["label"], champions_of(study, fluid, "gain", study["depth"]).values.mean(), kept)
 
 
 def with_conditions(study: Results, robust: Results) -> Results:

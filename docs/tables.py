@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from samples import (
+    ROUNDS,
     Results,
     champions_of,
     compared_anew,
@@ -26,6 +27,7 @@ from samples import (
     share_of,
     share_of_best,
     shares_by_data_set,
+    truths,
     with_conditions,
 )
 from scipy.stats import ttest_ind
@@ -217,25 +219,15 @@ def throws(results: Results, whole: Results) -> Iterable[tuple[Any, ...]]:
         yield f"{n_throws}, {form}", *of_best, exploiters(by_depth.values(), name)
 
 
-_SHOWN = {25, 100, 500}  # throws of the curves; docs/curves.png has all
-
-
-@table(
-    text("fluid"),
-    text("throws"),
-    share("law"),
-    share("law and networks"),
-    share("wetted"),
-    share("plain, copies"),
-    share("plain"),
-)
+@table(text("throws"), share("law"), share("law and networks"), share("wetted"), share("plain, copies"), share("plain"))
 def curves(results: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate shares of what *E* gains in several fluids, by the number of throws and the form of networks."""
-    for study in results["studies"]:
-        best, learned = champions_of(study, study["fluid"], "gain"), {row["environment"] for row in study["champions"]}
-        for number in sorted({int(name.rpartition("_")[2]) for name in learned - {study["fluid"]}} & _SHOWN):
-            names = (f"{form}_{number}" for form in ("law", "both", "wetted", "symmetric", "plain"))
-            yield study["label"], number, *(share_of(champions_of(study, name, "gain"), best) for name in names)
+    """Tabulate shares of what *E* gains by the number of throws and the form of networks, at the paper's scale."""
+    study = results["desk"]
+    best = champions_of(study, study["fluid"], "gain")
+    learned = {row["environment"] for row in study["champions"]} - {study["fluid"]}
+    for number in sorted({int(name.rpartition("_")[2]) for name in learned}):
+        names = (f"{form}_{number}" for form in ("law", "both", "wetted", "symmetric", "plain"))
+        yield number, *(share_of(champions_of(study, name, "gain"), best) for name in names)
 
 
 @table(
@@ -244,19 +236,17 @@ def curves(results: Results) -> Iterable[tuple[Any, ...]]:
     share("slush's law"),
     share("this law and networks"),
     share("wetted"),
-    share("struck, added mass"),
+    share("wetted, two rounds"),
+    share("added mass"),
+    share("added mass, two rounds"),
     share("drawn slushes"),
 )
-def learners(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate shares of what *E* gains in several truths, by what robots evolved in, of 50 throws."""
-    of_curves = {study["fluid"]: study for study in curves["studies"]}
-    for study in kicks["studies"]:
-        fluid = study["fluid"]
-        older = of_curves.get(fluid)  # with an *E* of its own
-        sides = [(older or study, f"{name}_50" if older else name) for name in ("law", "both", "wetted")]
-        sides += [(study, name) for name in ("mass", "randomised_slush")]
-        gains = [(champions_of(side, name, "gain"), champions_of(side, fluid, "gain")) for side, name in sides]
-        yield study["label"], gains[-1][1].values.mean(), *(share_of(*gain) if len(gain[0]) else None for gain in gains)
+def learners(kicks: Results, curves: Results, rounds: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate shares of what *E* gains in several truths, by what robots evolved in."""
+    for truth in truths(kicks, curves, rounds):
+        names = ("law", "both", "wetted", "tried", "mass", "tried_mass", "drawn")
+        kept = (truth.learners.get(name) for name in names)
+        yield truth.label, truth.best, *(one and one.of_best for one in kept)
 
 
 @table(
@@ -285,7 +275,7 @@ def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
 @table(text("truth"), text("learns"), *(text(f"{'round ' * (not k)}{k}") for k in range(4)))
 def rounds(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what the best robots of each round are predicted to travel, and travel."""
-    for arm in results["arms"]:
+    for arm in (arm for arm in results["arms"] if arm["n_rounds"] > ROUNDS):
         by_round: dict[int, list[Mapping[str, float]]] = {}
         for row in arm["rounds"]:
             by_round.setdefault(row["round"], []).append(row)

@@ -1,8 +1,9 @@
-"""Three fluids that wetted networks were not made for, of which docs/throws.md tells, and one with coarser steps.
+"""Three fluids that wetted networks were not made for, of which docs/throws.md tells, and two that step otherwise.
 
 ``--with docs/results/other_fluids.py`` registers them, and ``--set target=point_drag`` throws links into one.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -100,7 +101,31 @@ class EulerSlush(Slush):
         return -lost * links.vx, factors[2] * area / links.mass - lost * links.vy, -lost_spin * links.omega
 
 
+class LateSlush(Slush):
+    """The slush, whose change by the state before a step is added after the solver, as the paper writes φ."""
+
+    def start(self, links: LinkStates, physics: Physics, depth: float) -> "Late":  # noqa: ARG002
+        """Return the slush of a rollout."""
+        return Late(self)
+
+
+class Late:
+    """What the next step begins with."""
+
+    def __init__(self, slush: Slush) -> None:
+        self.slush = slush
+        self.change = VelocityChange(np.float32(0), np.float32(0), np.float32(0))
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        """Return the change by the last step's state, which ended with the change before it."""
+        last = self.change
+        state = replace(links, vx=links.vx + last.vx, vy=links.vy + last.vy, omega=links.omega + last.omega)
+        self.change = Slush.velocity_change(self.slush, state, physics)
+        return last
+
+
 register_medium("point_drag", PointDrag, "Point Drag")
 register_medium("mass_carried_along", MassCarriedAlong, "Mass Carried Along")
 register_medium("layered_slush", LayeredSlush, "Layered Slush")
 register_medium("euler_slush", EulerSlush, "Slush by Euler's Steps")
+register_medium("late_slush", LateSlush, "Slush after the Solver")

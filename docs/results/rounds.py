@@ -92,7 +92,8 @@ def main() -> None:
     arms = []
     for arm in ARMS:
         results = [row for seed in range(1, N_SEEDS + 1) for row in rounds(arm, seed)]
-        arms.append({"truth": arm.truth, "form": arm.form, "throws": arm.design, "tries": arm.tries, "rounds": results})
+        what = {"truth": arm.truth, "form": arm.form, "throws": arm.design, "tries": arm.tries}
+        arms.append({**what, "n_rounds": arm.n_rounds, "n_generations": arm.n_generations, "rounds": results})
         print(arm, *results, sep="\n", flush=True)
     found = {"schema": "puddle.rounds", "version": 1, "made_with": dict(provenance()), "arms": arms}
     text = json.dumps(found, indent=1).replace("\n     ", " ").replace("\n    }", " }")

@@ -88,7 +88,7 @@ def _cell(value: Any, form: str | Callable[[Any], str]) -> Cell:
         return Cell()
     if isinstance(value, Estimate):
         ends = [_write(end, form) for end in value.interval or ()]
-        return Cell(_write(value.value, form), " to ".join(ends))
+        return Cell(_write(value.value, form), " to ".join(ends).replace("\u00a0% to", " to"))
     if isinstance(value, Mean):
         main = _write(value.value, form)
         return Cell(main if value.sd is None else f"{main} ± {_write(value.sd, form)}")

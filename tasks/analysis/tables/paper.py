@@ -72,7 +72,8 @@ class PaperRow:
 def written(estimate: Estimate, form: str) -> str:
     """Write an estimate with its interval in brackets."""
     value = "–" if estimate.value is None else form.format(estimate.value)
-    return f"{value} ({' to '.join(map(form.format, estimate.interval))})" if estimate.interval else value
+    ends = " to ".join(map(form.format, estimate.interval or ())).replace("% to", " to")
+    return f"{value} ({ends})" if ends else value
 
 
 def _metrics(rows: Sequence[PaperRow]) -> dict[str, float]:

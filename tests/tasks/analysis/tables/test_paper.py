@@ -82,7 +82,7 @@ def test_intervals_include_the_variance_between_replicates_which_counts_in_full_
     own, of_paper = own + r**2 / 10, 2 * own - within / 5 + within / 10 + r**2 / 10  # σ_a² + σ_e² / 5 is twice our own
     half = math.sqrt(1 + of_paper / own) * (row.value.high - row.value.low) / 2
     low, high = (100 * (r - 0.67 + side * half) for side in (-1, 1))
-    assert f"({low:z.0f}% to {high:z.0f}%)" in row.decides
+    assert f"({low:z.0f} to {high:z.0f}%)" in row.decides
 
 
 def test_what_was_not_measured_has_no_row():
