@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
+from other_fluids import LateSlush
 
 import puddle
 from pipeline.config.settings import Settings
@@ -19,26 +20,11 @@ from pipeline.workflow.stage import Execution
 from tasks.analysis.tables.transfer_robustness import CONDITIONS
 from tasks.design import motors_off
 from tasks.simulation import Conditions
-from tasks.world import LinkStates, Physics, Pool, Slush, TrueSlush, VelocityChange
+from tasks.world import Pool, TrueSlush
 
 DOCS = Path(__file__).resolve().parents[1]
 SIMULATION = simulation_spec(Settings(), "true_slush")
 IN_MUJOCO = (0.0, 2.0, 9.0)  # depths [m]
-
-
-class AddedLate:
-    """The slush, whose change by the state before a step is added after it: what the next step begins with."""
-
-    change = VelocityChange(np.float32(0), np.float32(0), np.float32(0))
-
-    def start(self, links: LinkStates, physics: Physics, depth: float) -> "AddedLate":  # noqa: ARG002
-        """Begin without a change."""
-        return AddedLate()
-
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Return the change by the links before the last step."""
-        last, self.change = self.change, Slush().velocity_change(links, physics)
-        return last
 
 
 def main() -> None:
@@ -55,7 +41,7 @@ def main() -> None:
         for name, conditions in CONDITIONS.items():
             scores[name][own] = np.mean([score(designs[own], one) for one in conditions], axis=0)
         scores["passive"][own] = score(motors_off(designs[own]), Conditions())
-        scores["added_late"][own] = puddle.simulate(designs[own], Pool(float(depth), AddedLate())).displacement
+        scores["added_late"][own] = puddle.simulate(designs[own], Pool(float(depth), LateSlush())).displacement
         if depth in IN_MUJOCO:
             scores["mujoco"][own] = puddle.simulate(designs[own], target, engine="mujoco").displacement
     rows = [

@@ -23,7 +23,7 @@ from tasks.seeding import generator
 from tasks.simulation.engine import links_in
 from tasks.simulation.free_links import FreeLinks, link_constants
 from tasks.world import Environment, LinkStates, Medium, Physics, as_environment
-from tasks.world.medium import MediumWithMemory
+from tasks.world.medium import MediumError, MediumWithMemory
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
@@ -223,6 +223,9 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium | MediumWithMem
         n_steps: number of steps of each throw.
         medium: the medium of E; E' has none.
         physics: the base simulator's constants.
+
+    Raises:
+        MediumError: the medium gives changes that are not finite.
     """
     in_target, dry = links_in(medium, starts.length_scale, physics), FreeLinks(starts.length_scale, physics)
     n, struck = len(starts), starts.kick.shape[1] == n_steps
@@ -236,6 +239,10 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium | MediumWithMem
         on_dry_land[:, step] = dry.step(now, None)
         now = in_target(now)
         in_slush[:, step] = now
+    if not np.isfinite(in_slush).all():
+        k, step, _ = np.argwhere(~np.isfinite(in_slush))[0]
+        name, where = type(medium).__name__, f"step {step} of throw {starts.throw[k]}"
+        raise MediumError(f"{name}: expected finite velocities, got {in_slush[k, step, 3:]} (vx, vy, ω) after {where}")
 
     x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))
     length_scale = np.repeat(starts.length_scale, n_steps)

@@ -109,13 +109,19 @@ def change_in(medium: Medium, links: LinkStates, physics: Physics) -> VelocityCh
         change = medium.velocity_change(links, physics)
         if not isinstance(change, VelocityChange):
             raise TypeError(f"velocity_change: expected a VelocityChange, got {type(change).__name__}")
-        shape = links.y.shape
-        parts = (change.vx, change.vy, change.omega)
-        return VelocityChange(*(part if np.shape(part) == shape else np.broadcast_to(part, shape) for part in parts))
+        return VelocityChange(*(_of_links(name, part, links.y.shape) for name, part in vars(change).items()))
     except MediumError:
         raise
     except Exception as error:
         raise _failed(medium, getattr(medium, "law", getattr(medium, "velocity_change", None)), error) from error
+
+
+def _of_links(name: str, part: Any, shape: tuple[int, ...]) -> Floats:
+    part = np.asarray(part)
+    if part.dtype.kind not in "fiub" or part.shape not in ((), shape):
+        got = f"an array of {part.dtype} and shape {part.shape}"
+        raise TypeError(f"{name}: expected a number, or an array of numbers of the links' shape {shape}, got {got}")
+    return part if part.shape == shape else np.broadcast_to(part, shape)
 
 
 def _failed(medium: Any, method: Any, error: Exception) -> MediumError:
@@ -136,7 +142,7 @@ class MediumInRollout:
         """Return the change of links without kicks, which it measures, over one step.
 
         Raises:
-            MediumError: the medium gives no change or, in the first step, one that is NaN or not the same twice.
+            MediumError: the medium gives no change or, in the first step, one that is not finite or not the same twice.
         """
         with np.errstate(invalid="ignore", over="ignore"):  # of rollouts that have diverged
             if self._unkicked is None:
@@ -160,8 +166,8 @@ class MediumInRollout:
         moving = np.isfinite(links.y + links.vx + links.vy + links.omega)
         said = ""
         for name, part in vars(change).items():
-            if np.isnan(part[moving]).any():
-                said = f"{name}: expected numbers in the first step, got nan"
+            if not np.isfinite(part[moving]).all():
+                said = f"{name}: expected finite numbers in the first step, got nan or inf"
             elif not np.array_equal(part, getattr(again, name), equal_nan=True):
                 said = f"{name}: expected the same change when asked twice; what a medium remembers is made by start"
         if said:

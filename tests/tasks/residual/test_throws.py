@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -6,6 +8,7 @@ from pydantic import ValidationError
 from tasks.residual import STATE, Throws, Transitions, form_named, initial_states, robot_ranges, simulate_throws
 from tasks.residual.forms import kicks_unseen
 from tasks.world import LinkStates, Physics, Slush
+from tasks.world.medium import MediumError
 from tasks.world.slush import slush_change, submerged_part
 
 PHYSICS = Physics()
@@ -117,3 +120,20 @@ def test_a_struck_bar_is_answered_by_a_fluid_that_reads_kicks():
     assert np.abs(heavy.residual[:, 3:] - without + 0.6 * area[:, None] * heavy.kick).max() < 10 * 2**-19
     plain, of_mass = form_named("plain"), form_named("wetted_mass")
     assert "takes back" in kicks_unseen(plain, heavy) and not kicks_unseen(of_mass, heavy) + kicks_unseen(plain, light)
+
+
+def test_drag_alone_answers_no_strikes():
+    starts = initial_states(Throws(n_throws=50, n_steps=200, design="struck"), np.random.default_rng(1), PHYSICS)
+    assert not kicks_unseen(form_named("plain"), simulate_throws(starts, 200, SLUSH, PHYSICS))
+
+
+def test_a_medium_that_gives_no_finite_change_is_an_error(starts):
+    class Hot(Slush):
+        def velocity_change(self, links, physics):
+            change = super().velocity_change(links, physics)
+            return replace(change, vx=np.where(links.y < -6.01, np.inf, change.vx))
+
+    with pytest.raises(
+        MediumError, match=r"^Hot: expected finite velocities, got \[ *nan .*\] \(vx, vy, ω\) after step"
+    ):
+        simulate_throws(starts, 30, Hot(), PHYSICS)

@@ -149,11 +149,12 @@ class Empty(Wake):
     [
         (Counting(), "vx: expected the same change when asked twice"),
         (Shared(), "vx: expected the same change when asked twice"),
-        (Counting(np.nan), "vx: expected numbers in the first step, got nan"),
+        (Counting(np.nan), "vx: expected finite numbers in the first step, got nan or inf"),
+        (Counting(np.inf), "vx: expected finite numbers in the first step, got nan or inf"),
         (Empty(), "TypeError: start: expected a medium with velocity_change, got float"),
         (Failing(), "AttributeError: 'LinkStates' object has no attribute 'depth'"),
     ],
-    ids=["no start", "shared memory", "nan", "no medium", "start fails"],
+    ids=["no start", "shared memory", "nan", "inf", "no medium", "start fails"],
 )
 def test_a_medium_that_is_none_is_one_line(medium, said):
     with pytest.raises(MediumError, match=rf"^{__file__}:\d+: .*{said}"):

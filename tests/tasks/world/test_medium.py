@@ -24,6 +24,7 @@ def test_numbers_are_of_all_links():
     assert (change.vx == 0.5).all() and change.vy.dtype == np.float32
 
 
+NUMBERS = r"expected a number, or an array of numbers of the links' shape \(1, 2, 6\), got an array of "
 EXPECTED = "TypeError: velocity_change: expected a VelocityChange, got"
 
 
@@ -33,9 +34,14 @@ EXPECTED = "TypeError: velocity_change: expected a VelocityChange, got"
         (lambda links: (links.vx, links.vy), f"{EXPECTED} tuple"),
         (lambda links: 0.0, f"{EXPECTED} float"),
         (lambda links: VelocityChange(links.z, 0, 0), "AttributeError: 'LinkStates' object has no attribute 'z'"),
-        (lambda links: VelocityChange(np.zeros(5), 0, 0), r"ValueError: .* requested shape \(1,2,6\)"),
+        (lambda links: VelocityChange(np.zeros(5), 0, 0), rf"TypeError: vx: {NUMBERS}float64 and shape \(5,\)"),
+        (
+            lambda links: VelocityChange(0, links.vy[..., :1], 0),
+            rf"TypeError: vy: {NUMBERS}float32 and shape \(1, 2, 1\)",
+        ),
+        (lambda links: VelocityChange(0, 0, "fast"), rf"TypeError: omega: {NUMBERS}<U4 and shape \(\)"),
     ],
-    ids=["tuple", "number", "attribute", "shape"],
+    ids=["tuple", "number", "attribute", "shape", "shape that would do", "words"],
 )
 def test_anything_else_is_an_error_that_names_the_line(change, said):
     """That of the mistake, or of velocity_change where the medium itself did not fail."""
@@ -56,7 +62,7 @@ def test_fluids_of_the_published_results_act_on_links_as_they_are_now(monkeypatc
     media = {}
     monkeypatch.setattr("tasks.world.registry.register_medium", lambda name, kind, _: media.setdefault(name, kind()))
     runpy.run_path(str(Path(__file__).parents[3] / "docs/results/other_fluids.py"))
-    assert len(media) == 4
+    assert len(media) == 5
     for medium in media.values():
         assert np.isfinite(change_in(medium, LINKS, Physics()).vy).all()
 
