@@ -7,7 +7,7 @@ from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import Study
 from pipeline.stages import environments
 from pipeline.stages.data_sets import networks_of
-from pipeline.stages.train import TRAIN, WHOLE_ERROR
+from pipeline.stages.train import MOST_ERROR, TRAIN, WHOLE_ERROR
 from pipeline.workflow.identity import TrialId
 from pipeline.workflow.stage import MissingInputs
 from tasks.analysis.scores import by_arm
@@ -16,10 +16,6 @@ from tasks.design import Designs
 from tasks.residual import arm_kind, in_order
 from tasks.simulation import OK
 from tasks.world import EnvironmentName
-
-MOST_ERROR = 0.2
-"""Error on throws held out, as a share of their way, above which no robot is built. In synthetic tanks networks err by
-a few hundredths, and robots go as far as predicted; with memory by 0.3, and they go two thirds as far."""
 
 
 def check_errors(study: Study) -> None:
