@@ -133,12 +133,19 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
     share("Randomised Slush, *Ẽ*"),
     share("Designed throws, *Ê\\**"),
 )
-def depths(study: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate the zero-shot shares of *E* at all depths."""
+def depths(study: Results, replicates: Results, redrawn: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate the zero-shot shares of *E* at all depths; there are more data sets and draws of the paper's."""
     arms = {(arm["environment"], arm["depth"]): arm["zero_shot"]["mean"] for arm in study["arms"]}
     for depth in sorted({depth for _, depth in arms}):
-        names = ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
-        yield depth, arms["true_slush", depth], *(share_of_best(study, name, "zero_shot", depth) for name in names)
+        learned, drawn = (replicates, redrawn["studies"][0]) if depth == paper.DEPTH else (study, study)
+        sides = (
+            (study, "dry_land"),
+            (learned, "residual_slush"),
+            (drawn, "randomised_slush"),
+            (learned, "designed_throws"),
+        )
+        shares = (share_of_best(side, name, "zero_shot", depth, best_of=study) for side, name in sides)
+        yield depth, arms["true_slush", depth], *shares
 
 
 @table(
@@ -151,13 +158,15 @@ def depths(study: Results) -> Iterable[tuple[Any, ...]]:
     share("*Ẽ* of *E*, 1/240 s"),
     share("*Ê\\** of *E*, 1/240 s"),
 )
-def robustness(robust: Results, study: Results) -> Iterable[tuple[Any, ...]]:
+def robustness(robust: Results, study: Results, replicates: Results, redrawn: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what *E* travels in other conditions at all depths, and the shares of two arms with shorter steps."""
-    study, columns = with_conditions(study, robust), ("one", "starts", "half_steps", "quarter_steps", "continuous")
+    columns = ("one", "starts", "half_steps", "quarter_steps", "continuous")
+    study, replicates, random = (with_conditions(one, robust) for one in (study, replicates, redrawn["studies"][0]))
     for depth in sorted({row["depth"] for row in study["champions"]}):
         best = (fmean(champions_of(study, "true_slush", column, depth).values) for column in columns)
-        names = ("randomised_slush", "designed_throws")
-        yield depth, *best, *(share_of_best(study, name, "quarter_steps", depth) for name in names)
+        learned, drawn = (replicates, random) if depth == paper.DEPTH else (study, study)
+        sides = (drawn, "randomised_slush"), (learned, "designed_throws")
+        yield depth, *best, *(share_of_best(side, name, "quarter_steps", depth, best_of=study) for side, name in sides)
 
 
 @table(
@@ -247,6 +256,20 @@ def learners(kicks: Results, curves: Results, rounds: Results) -> Iterable[tuple
         names = ("law", "both", "wetted", "tried", "mass", "tried_mass", "drawn")
         kept = (truth.learners.get(name) for name in names)
         yield truth.label, truth.best, *(one and one.of_best for one in kept)
+
+
+@table(text("robots evolved under"), share("the paper's slush"), share("MuJoCo's own fluid"), share("falling plates"))
+def worlds(kicks: Results, curves: Results, rounds: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate the same for the README: three truths, and four learners."""
+    by_label = {truth.label: truth for truth in truths(kicks, curves, rounds)}
+    shown = [by_label[label] for label in ("the paper's slush", "MuJoCo's own fluid", "falling plates")]
+    for name, learner in (
+        ("the law of the slush, fitted", "law"),
+        ("slushes drawn at random", "drawn"),
+        ("networks that know what is under water", "wetted"),
+        ("networks of added mass, struck throws", "mass"),
+    ):
+        yield name, *(truth.learners[learner].of_best for truth in shown)
 
 
 @table(
