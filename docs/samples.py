@@ -105,7 +105,7 @@ class Truth:
     learners: Mapping[str, Kept]
 
 
-def truths(kicks: Results, curves: Results, rounds: Results) -> Iterator[Truth]:
+def truths(kicks: Results, curves: Results, rounds: Results | None = None) -> Iterator[Truth]:
     """Compare learners in every truth; some have an *E* of their own, of the same search."""
     of_curves = {study["fluid"]: study for study in curves["studies"]}
     for study in kicks["studies"]:
@@ -114,7 +114,7 @@ def truths(kicks: Results, curves: Results, rounds: Results) -> Iterator[Truth]:
         if fluid in of_curves:
             sides = {name: (of_curves[fluid], f"{name}_50") for name in sides}
         sides |= {"mass": (study, "mass"), "drawn": (study, "randomised_slush")}
-        for arm in rounds["arms"]:
+        for arm in rounds["arms"] if rounds else ():
             if arm["truth"] == fluid and arm["n_rounds"] == ROUNDS:
                 name = "tried" if arm["form"] == "wetted" else "tried_mass"
                 last = [row for row in arm["rounds"] if row["round"] == ROUNDS - 1]

@@ -259,9 +259,9 @@ def learners(kicks: Results, curves: Results, rounds: Results) -> Iterable[tuple
 
 
 @table(text("robots evolved under"), share("the paper's slush"), share("MuJoCo's own fluid"), share("falling plates"))
-def worlds(kicks: Results, curves: Results, rounds: Results) -> Iterable[tuple[Any, ...]]:
+def worlds(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate the same for the README: three truths, and four learners."""
-    by_label = {truth.label: truth for truth in truths(kicks, curves, rounds)}
+    by_label = {truth.label: truth for truth in truths(kicks, curves)}
     shown = [by_label[label] for label in ("the paper's slush", "MuJoCo's own fluid", "falling plates")]
     for name, learner in (
         ("the law of the slush, fitted", "law"),
