@@ -44,7 +44,7 @@ class Arm:
 
 TRUTHS = (
     *("true_slush", "anisotropic_slush", "flowing_slush"),
-    *("point_drag", "mass_carried_along", "layered_slush", "falling_plate"),
+    *("point_drag", "mass_carried_along", "layered_slush", "falling_plate", "mujoco_fluid"),
 )
 LEARNERS = (("wetted", "robots"), ("wetted_mass", "struck"))  # forms and throws
 ARMS = (

@@ -11,10 +11,11 @@ import numpy as np
 from tasks.arrays import Float32, Int64
 from tasks.design import Designs
 from tasks.residual.throws import Transitions
+from tasks.simulation.engine import links_in
 from tasks.simulation.free_links import FreeLinks
-from tasks.simulation.rollout import simulate
+from tasks.simulation.rollout import Rollouts, simulate
 from tasks.world import Environment, LinkStates, Medium, Physics, Pool, VelocityChange, as_environment
-from tasks.world.medium import MediumWithMemory, change_in
+from tasks.world.medium import MediumWithMemory, NativeFluid, change_in
 
 
 class _Recorded:
@@ -69,7 +70,7 @@ def record(
 
     Returns:
         Transitions ordered by design, link and step, with the kicks of joints, motors and contacts. What a robot does
-        after it diverged is left out.
+        after it diverged is left out, and in an engine's own fluid its first step.
 
     Raises:
         ValueError: there is no such environment, or it does not have one medium.
@@ -79,10 +80,42 @@ def record(
         raise ValueError(f"environment: expected one with one medium, such as true_slush, got {environment!r}")
     tracks = []
     for which, group in designs.by_number_of_links():
+        if isinstance(there.medium, NativeFluid):
+            done = simulate(group, there, n_settle=n_settle, n_measure=n_measure, physics=physics, trace=True)
+            tracks.append(_stepped_alone(done, group, which, there.medium, physics))
+            continue
         recorder = _Recorder(there.medium)
         simulate(group, Pool(there.depth, recorder), n_settle=n_settle, n_measure=n_measure, physics=physics)
         tracks.append(_transitions(recorder.rollouts[0].steps, which, physics))  # the second is to compare with
     return Transitions.concatenate(tracks)
+
+
+def _stepped_alone(
+    done: Rollouts, designs: Designs, numbers: Int64, medium: NativeFluid, physics: Physics
+) -> Transitions:
+    """Return what an engine's own fluid changes of links in steps as if each were alone; the first step is left out."""
+    assert done.trace is not None
+    state = done.trace[:, :-1].astype(np.float32).swapaxes(1, 2)  # (n_designs, n_links, n_steps, 6)
+    n_designs, n_links, n_steps, _ = state.shape
+    a = designs.length_scale[:, :n_links].ravel()
+    in_fluid, free, by_step = links_in(medium, a, physics), FreeLinks(a, physics), state.reshape(-1, n_steps, 6)
+    in_target, on_dry_land = (
+        np.stack([step(by_step[:, k]) for k in range(n_steps)], axis=1)
+        for step in (in_fluid, lambda now: free.step(now, None))
+    )
+    kick = np.zeros((n_designs * n_links, n_steps, 3), np.float32)
+    kick[:, 1:] = by_step[:, 1:, 3:] - in_target[:, :-1, 3:]
+    transitions = Transitions(
+        throw=np.repeat(numbers, n_links * n_steps),
+        step=np.tile(np.arange(n_steps), n_designs * n_links),
+        length_scale=np.repeat(a, n_steps),
+        state=by_step.reshape(-1, 6),
+        next_in_target=in_target.reshape(-1, 6),
+        next_on_dry_land=on_dry_land.reshape(-1, 6),
+        residual=(in_target - on_dry_land).reshape(-1, 6),
+        kick=kick.reshape(-1, 3),
+    )
+    return transitions[np.flatnonzero(np.isfinite(transitions.next_in_target).all(axis=1))]
 
 
 def _transitions(steps: list[tuple[LinkStates, VelocityChange]], design: Int64, physics: Physics) -> Transitions:

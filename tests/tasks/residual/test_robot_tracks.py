@@ -7,6 +7,7 @@ from tasks.residual.robot_tracks import record
 from tasks.residual.throws import throw
 from tasks.residual.training import learn
 from tasks.simulation import simulate
+from tasks.simulation.engine import links_in
 from tasks.world import DryLand, Physics, ResidualSlush, TrueSlush, VelocityChange, as_environment
 
 PHYSICS = Physics()
@@ -44,6 +45,21 @@ def test_each_robot_is_one_throw_whose_states_are_those_of_its_rollout():
         np.testing.assert_array_equal(
             own.length_scale[::n_steps], designs.length_scale[robot, :n_links].astype(np.float32)
         )
+
+
+def test_links_in_an_engines_own_fluid_step_as_thrown_bars_do():
+    pytest.importorskip("mujoco")
+    designs, fluid = _designs(2, 6), as_environment("mujoco_fluid")
+    tracks = record(designs, fluid, **STEPS)
+    trace = simulate(designs, fluid, trace=True, **STEPS).trace
+    np.testing.assert_array_equal(tracks.state.reshape(2, 6, 64, 6), trace[:, :-1].swapaxes(1, 2).astype(np.float32))
+    some = tracks[np.arange(5, len(tracks), 60)]
+    np.testing.assert_array_equal(links_in(fluid.medium, some.length_scale, PHYSICS)(some.state), some.next_in_target)
+    wet = tracks.state[:, 1] < -2
+    assert (np.abs(tracks.residual[wet, 4]) > 0.1).all()  # buoyancy of 12.25 m/s² in a sixtieth of a second
+    after, kick = (of.reshape(12, 64, -1) for of in (tracks.next_in_target[..., 3:], tracks.kick))
+    assert not kick[:, 0].any() and (np.abs(kick) > 0.1).any()
+    np.testing.assert_allclose(after[:, :-1] + kick[:, 1:], tracks.state.reshape(12, 64, 6)[:, 1:, 3:], atol=2**-18)
 
 
 def test_what_follows_a_divergence_is_left_out():
