@@ -17,7 +17,7 @@ from tasks.residual import arm_kind
 
 Results = Mapping[str, Any]
 
-ROUNDS = 3  # of evolution; after the first two, networks learn from the best robots
+EVOLVED = 3  # times that two rounds evolve: before, between and after them
 
 
 def label_of(environment: str) -> str:
@@ -115,17 +115,17 @@ def truths(kicks: Results, curves: Results, rounds: Results | None = None) -> It
             sides = {name: (of_curves[fluid], f"{name}_50") for name in sides}
         sides |= {"mass": (study, "mass"), "drawn": (study, "randomised_slush")}
         for arm in rounds["arms"] if rounds else ():
-            if arm["truth"] == fluid and arm["n_rounds"] == ROUNDS:
+            if arm["truth"] == fluid and arm["n_rounds"] == EVOLVED:
                 name = "tried" if arm["form"] == "wetted" else "tried_mass"
-                last = [row for row in arm["rounds"] if row["round"] == ROUNDS - 1]
+                last = [row for row in arm["rounds"] if row["round"] == EVOLVED - 1]
                 at = {"environment": name, "depth": study["depth"]}
                 tried = [{**row, **at, "trial": row["seed"], "zero_shot": row["true"]} for row in last]
                 sides[name] = {**study, "champions": [*study["champions"], *tried]}, name
         kept = {}
-        for name, (side, arm) in sides.items():
+        for name, (side, evolved) in sides.items():
             gain, true, predicted, best = (
                 champions_of(side, of, score, study["depth"])
-                for of, score in ((arm, "gain"), (arm, "zero_shot"), (arm, "predicted"), (fluid, "gain"))
+                for of, score in ((evolved, "gain"), (evolved, "zero_shot"), (evolved, "predicted"), (fluid, "gain"))
             )
             if len(gain):
                 pairs = np.stack((true.values, predicted.values), axis=1)  # of the same robots

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from samples import (
-    ROUNDS,
+    EVOLVED,
     Results,
     champions_of,
     compared_anew,
@@ -298,7 +298,7 @@ def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
 @table(text("truth"), text("learns"), *(text(f"{'round ' * (not k)}{k}") for k in range(4)))
 def rounds(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what the best robots of each round are predicted to travel, and travel."""
-    for arm in (arm for arm in results["arms"] if arm["n_rounds"] > ROUNDS):
+    for arm in (arm for arm in results["arms"] if arm["n_rounds"] > EVOLVED):
         by_round: dict[int, list[Mapping[str, float]]] = {}
         for row in arm["rounds"]:
             by_round.setdefault(row["round"], []).append(row)

@@ -169,8 +169,8 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
         )
         mean = float(np.mean(of_tracked))
         warning = (
-            f"networks err by {mean:.2f} of the way, expected at most {MOST_ERROR:g}: robots will not go as predicted, "
-            "and `puddle fabricate` refuses them. What `collect` warns of may say why"
+            f"networks err by {mean:.2f} of the way, expected at most {MOST_ERROR:g}: robots may go much less far than "
+            "predicted, and `puddle fabricate` refuses them. What `collect` warns of may say why"
         )
         return Summary([heading, *errors, *([] if mean <= MOST_ERROR else [warning])], {WHOLE_ERROR: mean})
     return Summary(["relative errors of vx, at all speeds and slow, below 0.5 m/s:", *errors])

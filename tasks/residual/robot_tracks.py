@@ -97,12 +97,13 @@ def _stepped_alone(
     assert done.trace is not None
     state = done.trace[:, :-1].astype(np.float32).swapaxes(1, 2)  # (n_designs, n_links, n_steps, 6)
     n_designs, n_links, n_steps, _ = state.shape
-    a = designs.length_scale[:, :n_links].ravel()
-    in_fluid, free, by_step = links_in(medium, a, physics), FreeLinks(a, physics), state.reshape(-1, n_steps, 6)
-    in_target, on_dry_land = (
-        np.stack([step(by_step[:, k]) for k in range(n_steps)], axis=1)
-        for step in (in_fluid, lambda now: free.step(now, None))
-    )
+    a, by_step = designs.length_scale[:, :n_links].ravel(), state.reshape(n_designs * n_links, n_steps, 6)
+    finite = np.isfinite(by_step.sum(axis=2))  # MuJoCo steps links together, and would share what is not
+    in_fluid, free = links_in(medium, a, physics), FreeLinks(a, physics)
+    in_target, on_dry_land = np.empty((2, *by_step.shape), np.float32)
+    for k in range(n_steps):
+        now = np.where(finite[:, k, None], by_step[:, k], np.float32(0))
+        in_target[:, k], on_dry_land[:, k] = in_fluid(now), free.step(now, None)
     kick = np.zeros((n_designs * n_links, n_steps, 3), np.float32)
     kick[:, 1:] = by_step[:, 1:, 3:] - in_target[:, :-1, 3:]
     transitions = Transitions(
@@ -115,7 +116,8 @@ def _stepped_alone(
         residual=(in_target - on_dry_land).reshape(-1, 6),
         kick=kick.reshape(-1, 3),
     )
-    return transitions[np.flatnonzero(np.isfinite(transitions.next_in_target).all(axis=1))]
+    kept = finite.ravel() & np.isfinite(transitions.next_in_target).all(axis=1)
+    return transitions[np.flatnonzero(kept & np.isfinite(transitions.kick).all(axis=1))]
 
 
 def _transitions(steps: list[tuple[LinkStates, VelocityChange]], design: Int64, physics: Physics) -> Transitions:

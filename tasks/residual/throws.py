@@ -242,7 +242,7 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium | MediumWithMem
     if not np.isfinite(in_slush).all():
         k, step, _ = np.argwhere(~np.isfinite(in_slush))[0]
         name, where = type(medium).__name__, f"step {step} of throw {starts.throw[k]}"
-        raise MediumError(f"{name}: expected finite velocities, got {in_slush[k, step, 3:]} (vx, vy, ω) after {where}")
+        raise MediumError(f"{name}: expected finite states, got {in_slush[k, step]} ({', '.join(STATE)}) after {where}")
 
     x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))
     length_scale = np.repeat(starts.length_scale, n_steps)
@@ -275,7 +275,7 @@ def throw(
         physics: constants of the base simulator; the paper's by default.
 
     Raises:
-        ValueError: there is no such environment, or it does not have one medium.
+        ValueError: there is no such environment, or it does not have one medium, or its changes are not finite.
     """
     throws, physics, there = throws or DESIGNED_THROWS, physics or Physics(), as_environment(environment)
     if there.medium is None or there.is_ensemble:

@@ -20,7 +20,7 @@ from tasks.world.physics import Physics
 if TYPE_CHECKING:
     from tasks.residual.throws import Transitions
 
-_BY_DRAG = 0.15  # drag alone takes back less of strikes, which make a bar faster: up to 8 % in the paper's slush
+_LEAST_ANSWER = 0.15  # share of strikes; drag alone takes back up to 8 % in the paper's slush, as a strike makes faster
 N_VELOCITIES = 3  # vx, vy and ω: what outputs change; positions follow by integration
 
 
@@ -151,7 +151,7 @@ def kicks_unseen(form: Form, transitions: Transitions) -> str:
     kick, change = transitions.kick[struck, :2].ravel(), transitions.residual[struck, 3:5].ravel()
     square = float(kick @ kick)
     back = -float(kick @ change) / square  # strikes depend on nothing, so this slope is that of all else being equal
-    if back < max(_BY_DRAG, 4 * float(change.std()) / square**0.5):
+    if back < max(_LEAST_ANSWER, 4 * float(change.std()) / square**0.5):
         return ""
     return f"the fluid takes back {back:.0%} of strikes, which these networks do not see: use the form wetted_mass"
 

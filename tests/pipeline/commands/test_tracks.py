@@ -58,7 +58,7 @@ def test_robots_of_tracks_are_tested_in_the_model_of_the_tank(collected, tmp_pat
     assert call("study", *where, *WITHOUT_MLFLOW) == 0
     said, progress = capsys.readouterr()
     assert "relative errors on throws held out of fit and training" in progress
-    assert "of the way, expected at most 0.2: robots will not go as predicted" in progress
+    assert "of the way, expected at most 0.2: robots may go much less far" in progress
     page = (tmp_path / "store/studies/tank/report/index.html").read_text()
     shown = said + page.replace(page[page.index("<summary>Settings") : page.index("<summary>Software")], "")
     assert "Champions of study tank in the model of your tank" in said and "slush" not in said.replace("_slush", "")

@@ -62,6 +62,21 @@ def test_links_in_an_engines_own_fluid_step_as_thrown_bars_do():
     np.testing.assert_allclose(after[:, :-1] + kick[:, 1:], tracks.state.reshape(12, 64, 6)[:, 1:, 3:], atol=2**-18)
 
 
+def test_a_robot_that_diverges_in_an_engines_own_fluid_leaves_others_as_they_are(monkeypatch):
+    pytest.importorskip("mujoco")
+    designs, fluid = _designs(2, 6), as_environment("mujoco_fluid")
+    assert len(record(designs, fluid, n_settle=0, n_measure=1)) == 0
+    tracks = record(designs, fluid, n_settle=0, n_measure=9)
+    done = simulate(designs, fluid, n_settle=0, n_measure=9, trace=True)
+    done.trace[1, 4:] = np.nan
+    monkeypatch.setattr("tasks.residual.robot_tracks.simulate", lambda *_, **__: done)
+    broken = record(designs, fluid, n_settle=0, n_measure=9)
+    for name in ("state", "next_in_target", "kick"):
+        of_each = [getattr(of, name)[of.throw == 0] for of in (tracks, broken)]
+        np.testing.assert_array_equal(*of_each)
+    assert (broken.step[broken.throw == 1] == np.tile(range(4), 6)).all()
+
+
 def test_what_follows_a_divergence_is_left_out():
     class DiesBelow:
         def velocity_change(self, links, physics):

@@ -1,6 +1,7 @@
 """A medium of a user's own: what it returns fits the links, or an error names its file and line."""
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 
 import puddle
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import LinkStates, Physics, Pool, VelocityChange
+from tasks.world import LinkStates, Physics, Pool, Slush, VelocityChange
 from tasks.world.medium import MediumError, change_in
 
 LINKS = LinkStates(*np.ones((9, 1, 2, 6), np.float32))
+PHYSICS = Physics()
 
 
 def medium_of(change):
@@ -58,13 +60,32 @@ def test_every_engine_says_so(engine, physics):
         puddle.simulate(design, home, n_settle=0, n_measure=1, engine=engine, physics=physics)
 
 
-def test_fluids_of_the_published_results_act_on_links_as_they_are_now(monkeypatch):
+def other_fluids():
     media = {}
-    monkeypatch.setattr("tasks.world.registry.register_medium", lambda name, kind, _: media.setdefault(name, kind()))
-    runpy.run_path(str(Path(__file__).parents[3] / "docs/results/other_fluids.py"))
+    with pytest.MonkeyPatch.context() as briefly:
+        briefly.setattr("tasks.world.registry.register_medium", lambda name, kind, _: media.setdefault(name, kind()))
+        runpy.run_path(str(Path(__file__).parents[3] / "docs/results/other_fluids.py"))
+    return media
+
+
+def test_fluids_of_the_published_results_act_on_links_as_they_are_now():
+    media = other_fluids()
     assert len(media) == 5
     for medium in media.values():
         assert np.isfinite(change_in(medium, LINKS, Physics()).vy).all()
+
+
+def test_the_slush_after_the_solver_is_that_of_the_state_with_the_last_change():
+    late = other_fluids()["late_slush"].start(LINKS, PHYSICS, 1.0)
+    state = replace(LINKS, y=-LINKS.y)
+    nothing, first, second = (late.velocity_change(state, PHYSICS) for _ in range(3))
+    usual = Slush().velocity_change(state, PHYSICS)
+    changed = replace(state, vx=state.vx + usual.vx, vy=state.vy + usual.vy, omega=state.omega + usual.omega)
+    again = Slush().velocity_change(changed, PHYSICS)
+    for name in ("vx", "vy", "omega"):
+        assert not np.any(getattr(nothing, name)) and np.any(getattr(first, name) != getattr(second, name))
+        np.testing.assert_array_equal(getattr(first, name), getattr(usual, name))
+        np.testing.assert_array_equal(getattr(second, name), getattr(again, name))
 
 
 def test_throws_say_so():
