@@ -5,7 +5,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from samples import Results, champions_of, share_of, truths
+from samples import LEARNERS, Results, champions_of, share_of, truths
 
 DOCS = Path(__file__).resolve().parent
 FORMS = {
@@ -23,7 +23,8 @@ FORMS = {
 
 def results(name: str) -> Results:
     """Read a results file."""
-    return json.loads((DOCS / "results" / f"{name}.json").read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+    found: Results = json.loads((DOCS / "results" / f"{name}.json").read_text(encoding="utf-8"))
+    return found
 
 
 def curves() -> None:
@@ -60,13 +61,13 @@ def learners() -> None:
     """Draw shares of what *E* gains, and of what is predicted, in every truth."""
     rows = list(truths(*map(results, ("kicks", "curves", "rounds"))))
     figure, panels = plt.subplots(1, 2, figsize=(10, 7), sharey=True, layout="constrained")
-    for number, form in enumerate(("law", "both", "wetted", "tried", "mass", "tried_mass", "drawn")):
+    for number, form in enumerate(LEARNERS):
         label, colour, marker = FORMS[form]
         for panel, of in zip(panels, ("of_best", "of_prediction"), strict=True):
             points = [(k, getattr(row.learners[form], of)) for k, row in enumerate(rows) if form in row.learners]
             value = np.array([share.value for _, share in points])
             low, high = np.array([share.interval or (np.nan, np.nan) for _, share in points]).T
-            y = np.array([k for k, _ in points]) + 0.11 * (number - 3)
+            y = np.array([k for k, _ in points]) + 0.11 * (number - len(LEARNERS) // 2)
             ends = value - low, high - value
             panel.errorbar(value, y, xerr=ends, color=colour, marker=marker, label=label, elinewidth=0.7, ls="")
     for panel, title in zip(panels, ("of what E gains", "of what is predicted"), strict=True):

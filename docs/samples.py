@@ -17,7 +17,8 @@ from tasks.residual import arm_kind
 
 Results = Mapping[str, Any]
 
-EVOLVED = 3  # times that two rounds evolve: before, between and after them
+LEARNERS = ("law", "both", "wetted", "tried", "mass", "tried_mass", "drawn")  # of truths; tried: in two rounds
+TWO_ROUNDS = 3  # evolutions: before, between and after them
 
 
 def label_of(environment: str) -> str:
@@ -64,7 +65,8 @@ def compared_anew(study: Results, arm: str) -> list[dict[str, Any]]:
         for n in [study["n_replicates"] if arm_kind(name).learned else 1]
     ]
     settings, rng = SimpleNamespace(data_sets=(), assessed_depth=paper.DEPTH), lambda *_: np.random.default_rng(0)
-    rows: Any = ANALYSES["paper"].compute(SimpleNamespace(trials=trials, settings=settings, rng=rng))  # type: ignore[arg-type]
+    as_recorded: Any = SimpleNamespace(trials=trials, settings=settings, rng=rng)
+    rows: Any = ANALYSES["paper"].compute(as_recorded)
     written = (row.this_run.partition(" (") for row in rows)
     return [
         {"what": row.what, "paper": row.paper, "this_run": value, "interval": ends[:-1], "verdict": row.verdict}
@@ -115,9 +117,9 @@ def truths(kicks: Results, curves: Results, rounds: Results | None = None) -> It
             sides = {name: (of_curves[fluid], f"{name}_50") for name in sides}
         sides |= {"mass": (study, "mass"), "drawn": (study, "randomised_slush")}
         for arm in rounds["arms"] if rounds else ():
-            if arm["truth"] == fluid and arm["n_rounds"] == EVOLVED:
+            if arm["truth"] == fluid and arm["n_rounds"] == TWO_ROUNDS:
                 name = "tried" if arm["form"] == "wetted" else "tried_mass"
-                last = [row for row in arm["rounds"] if row["round"] == EVOLVED - 1]
+                last = [row for row in arm["rounds"] if row["round"] == TWO_ROUNDS - 1]
                 at = {"environment": name, "depth": study["depth"]}
                 tried = [{**row, **at, "trial": row["seed"], "zero_shot": row["true"]} for row in last]
                 sides[name] = {**study, "champions": [*study["champions"], *tried]}, name

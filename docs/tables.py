@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 from samples import (
-    EVOLVED,
+    LEARNERS,
+    TWO_ROUNDS,
     Results,
     champions_of,
     compared_anew,
@@ -253,8 +254,7 @@ def curves(results: Results) -> Iterable[tuple[Any, ...]]:
 def learners(kicks: Results, curves: Results, rounds: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate shares of what *E* gains in several truths, by what robots evolved in."""
     for truth in truths(kicks, curves, rounds):
-        names = ("law", "both", "wetted", "tried", "mass", "tried_mass", "drawn")
-        kept = (truth.learners.get(name) for name in names)
+        kept = (truth.learners.get(name) for name in LEARNERS)
         yield truth.label, truth.best, *(one and one.of_best for one in kept)
 
 
@@ -298,7 +298,7 @@ def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
 @table(text("truth"), text("learns"), *(text(f"{'round ' * (not k)}{k}") for k in range(4)))
 def rounds(results: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what the best robots of each round are predicted to travel, and travel."""
-    for arm in (arm for arm in results["arms"] if arm["n_rounds"] > EVOLVED):
+    for arm in (arm for arm in results["arms"] if arm["n_rounds"] > TWO_ROUNDS):
         by_round: dict[int, list[Mapping[str, float]]] = {}
         for row in arm["rounds"]:
             by_round.setdefault(row["round"], []).append(row)

@@ -102,7 +102,7 @@ class EulerSlush(Slush):
 
 
 class LateSlush(Slush):
-    """The slush, whose change by the state before a step is added after the solver, as the paper writes φ."""
+    """The slush, whose change by the state before a step is added after the solver, as E′(x) + φ(x) may be read."""
 
     def start(self, links: LinkStates, physics: Physics, depth: float) -> "Late":  # noqa: ARG002
         """Return the slush of a rollout."""
@@ -120,7 +120,7 @@ class Late:
         """Return the change by the last step's state, which ended with the change before it."""
         last = self.change
         state = replace(links, vx=links.vx + last.vx, vy=links.vy + last.vy, omega=links.omega + last.omega)
-        self.change = Slush.velocity_change(self.slush, state, physics)
+        self.change = self.slush.velocity_change(state, physics)
         return last
 
 

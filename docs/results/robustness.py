@@ -1,8 +1,7 @@
 """Score the published champions in other conditions: `.venv/bin/python docs/results/robustness.py`, ten minutes.
 
 It writes robustness.json: every champion of docs/champions.parquet in true slush, with the columns of the table
-``robustness`` [m], and two more: in MuJoCo, at three depths; and where the slush's change is added after the solver's
-step, as the paper writes it.
+``robustness`` [m], and two more: in MuJoCo, at three depths; and where the slush's change is added after the solver.
 """
 
 import json

@@ -20,7 +20,7 @@ from pipeline.report.document import TEMPLATES
 from pipeline.store.tables import columns_of, csv_of, described
 from tasks.analysis.columns import environment_name, scored_by
 from tasks.analysis.comparison import VERDICTS
-from tasks.analysis.estimates import Estimate, Mean
+from tasks.analysis.estimates import Estimate, Mean, between
 from tasks.analysis.tables import ANALYSES
 from tasks.analysis.tables.regressions import ensemble_name
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
@@ -87,8 +87,7 @@ def _cell(value: Any, form: str | Callable[[Any], str]) -> Cell:
     if _is_absent(value):
         return Cell()
     if isinstance(value, Estimate):
-        ends = [_write(end, form) for end in value.interval or ()]
-        return Cell(_write(value.value, form), " to ".join(ends).replace("\u00a0% to", " to"))
+        return Cell(_write(value.value, form), between(*(_write(end, form) for end in value.interval or ())))
     if isinstance(value, Mean):
         main = _write(value.value, form)
         return Cell(main if value.sd is None else f"{main} ± {_write(value.sd, form)}")

@@ -18,6 +18,7 @@ pseudo-values, one of each trial (Efron & Tibshirani 1993, ch. 11).
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -49,6 +50,11 @@ class Estimate:
 
 
 MISSING = Estimate(None)
+
+
+def between(*ends: str) -> str:
+    """Join the written ends of an interval, if there are any; of percentages only the last has the unit."""
+    return re.sub(r"\s?%(?= to )", "", " to ".join(ends))
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from tasks.analysis.estimates import (
     RESOLUTION,
     Estimate,
     Sample,
+    between,
     error_of,
     error_of_mean,
     linearised,
@@ -72,7 +73,7 @@ class PaperRow:
 def written(estimate: Estimate, form: str) -> str:
     """Write an estimate with its interval in brackets."""
     value = "–" if estimate.value is None else form.format(estimate.value)
-    ends = " to ".join(map(form.format, estimate.interval or ())).replace("% to", " to")
+    ends = between(*map(form.format, estimate.interval or ()))
     return f"{value} ({ends})" if ends else value
 
 

@@ -13,6 +13,7 @@ from tasks.analysis.estimates import (
     Estimate,
     Mean,
     Sample,
+    between,
     bootstrap,
     error_of_mean,
     linearised,
@@ -151,3 +152,16 @@ def test_the_interval_of_a_nested_mean_holds_it_as_often_as_it_says(n_replicates
     found = [planted(draw, n_replicates, between=between * (n_replicates > 1)) for _ in range(N_SAMPLES)]
     ends = [sum_of_means(of) for of in found]
     assert near([of.low <= 0 <= of.high for of in ends], 0.95)
+
+
+@pytest.mark.parametrize(
+    ("ends", "written"),
+    [
+        (("−3\u00a0%", "9\u00a0%"), "−3 to 9\u00a0%"),
+        (("82%", "107%"), "82 to 107%"),
+        (("9.3", "13.5"), "9.3 to 13.5"),
+        ((), ""),
+    ],
+)
+def test_an_interval_has_its_unit_once(ends, written):
+    assert between(*ends) == written
