@@ -23,6 +23,7 @@ from tasks.residual.learner import NetworkUse
 from tasks.residual.served_ensemble import TOLERANCE, ServedEnsemble
 from tasks.seeding import generator
 from tasks.simulation import Conditions, Rollouts, simulate
+from tasks.simulation.engine import links_in
 from tasks.simulation.mujoco import EngineError
 from tasks.world import (
     ENVIRONMENTS,
@@ -177,8 +178,11 @@ def roll_out(
         raise PuddleError(str(error)) from error
 
 
+_UNDER_WATER = np.array([[0.0, -1.0, 0.5, 1.0, 1.0, 1.0]], np.float32)  # a link, as tasks.residual.STATE has it
+
+
 def check_media(settings: Settings) -> None:
-    """Take a few steps with a robot in every engine and medium of a study.
+    """Take a few steps with a robot in every engine and medium of a study, and one with a link under water.
 
     Raises PuddleError if an engine is not here, or a medium gives no velocity change.
     """
@@ -192,6 +196,11 @@ def check_media(settings: Settings) -> None:
             simulation = replace(simulation_spec(settings, name), rollout=RolloutSettings(n_settle=0, n_measure=3))
             environment = build_environment(simulation.media, name, 0.0, {})
             roll_out(simulation, Execution("reference"), environment, design)
+            if environment.medium is not None and not environment.is_ensemble:  # the robot begins above the water
+                try:
+                    links_in(environment.medium, np.ones(1), settings.physics)(_UNDER_WATER)
+                except MediumError as error:
+                    raise PuddleError(str(error)) from error
 
 
 @dataclass(frozen=True)

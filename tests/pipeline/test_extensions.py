@@ -66,6 +66,17 @@ def test_results_in_a_medium_with_memory_do_not_depend_on_the_number_of_workers(
     assert "A different version of the code made items of evolve" in again.stderr + again.stdout
 
 
+def test_a_medium_that_is_infinite_under_water_is_refused_before_anything_is_computed(run, tmp_path):
+    """The robot that media are tried with begins above the water."""
+    lift = "lift = wet * physics.gravity * links.mass"
+    assert lift in SPRINGS
+    (tmp_path / "springs.py").write_text(SPRINGS.replace(lift, "lift = np.where(wet, np.inf, 0.0)"))
+    options = ("--preset", "smoke", "--with", "springs.py", "--set", "target=springs", "--workers", "0", "--store", "s")
+    done = run("-m", "pipeline", "study", *options)
+    assert done.returncode == 2 and "vy: expected finite numbers in the first step" in done.stderr
+    assert done.stderr.count("\n") == 1 and "springs.py:" in done.stderr
+
+
 def test_designs_evolve_in_networks_of_a_form_of_a_file(run, tmp_path, capsys):
     """They are trained and compiled as any; the study is readable without the file, which it names."""
     (tmp_path / "link_axes.py").write_text(FORM)
