@@ -114,9 +114,10 @@ def _check_learners(settings: Settings) -> None:
             form_named(form_name)
         except ValueError as error:
             raise ValueError(f"{place}{error}") from None
-    for name, learner in simulated.items():
+    for name, learner in settings.arm_learners.items():
         form, n_throws = form_named(learner.network.form), learner.throws.n_throws
-        if settings.target_medium and (why := form.objection(settings.target_medium, settings.physics)):
+        medium = settings.target_medium if name in simulated else None
+        if medium and (why := form.objection(medium, settings.physics)):
             raise ValueError(f"network.form is {form.name} for {name}, but {settings.target_label} {why}")
         if n_throws < len(form.constants):
             raise ValueError(
@@ -143,6 +144,11 @@ def _check_tracks(settings: Settings) -> None:
                 f"learners.{name}.throws states {', '.join(others)}, but its throws are the tracked ones of the "
                 f"file: expected source simulation beside it, or nothing"
             )
+    if from_tracks and settings.throws.design == "struck":
+        raise ValueError(
+            "throws.design is struck and throws.source is tracks, but nobody knows what struck a tracked bar: expected "
+            "another design"
+        )
     if from_tracks and settings.replicates > 1:
         raise ValueError(
             f"replicates is {settings.replicates} and throws.source is tracks, but there is one set of tracked throws: "

@@ -77,6 +77,14 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
             "throws.n_throws is 2 for law, but law:true_slush has the constants density, linear_drag, angular_drag: "
             "expected at least 3",
         ),
+        (
+            ["throws={source: tracks, n_throws: 2}", "tracks={file: a.csv}", "target=tank_model", "network.form=law"],
+            "throws.n_throws is 2 for tank_model, but law:true_slush has the constants density, linear_drag",
+        ),
+        (
+            ["throws={source: tracks, design: struck}", "tracks={file: a.csv}", "target=tank_model"],
+            "throws.design is struck and throws.source is tracks, but nobody knows what struck a tracked bar",
+        ),
         (["learners.a.network.frm=plain"], "unknown setting; did you mean learners.a.network.form?"),
         (["slush.decay=3"], "--set slush.decay=3: slush.decay: unknown setting; did you mean training.decay?"),
         (["n_steps=3"], "n_steps: unknown setting; did you mean throws.n_steps?"),
