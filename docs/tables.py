@@ -28,6 +28,7 @@ from samples import (
     share_of,
     share_of_best,
     shares_by_data_set,
+    studies_at,
     truths,
     with_conditions,
 )
@@ -36,7 +37,7 @@ from scipy.stats import ttest_ind
 from pipeline.report.render import as_markdown
 from tasks.analysis import paper
 from tasks.analysis.columns import column
-from tasks.analysis.estimates import Estimate, Mean
+from tasks.analysis.estimates import Estimate, Mean, Sample, sample_of
 from tasks.analysis.tables.transfer import papers_mean
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -134,18 +135,12 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
     share("Randomised Slush, *Ẽ*"),
     share("Designed throws, *Ê\\**"),
 )
-def depths(study: Results, replicates: Results, redrawn: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate the zero-shot shares of *E* at all depths; there are more data sets and draws of the paper's."""
+def depths(study: Results, *more: Results) -> Iterable[tuple[Any, ...]]:
+    """Tabulate the zero-shot shares of *E* at all depths, by the studies with the most data sets and draws of each."""
     arms = {(arm["environment"], arm["depth"]): arm["zero_shot"]["mean"] for arm in study["arms"]}
     for depth in sorted({depth for _, depth in arms}):
-        learned, drawn = (replicates, redrawn["studies"][0]) if depth == paper.DEPTH else (study, study)
-        sides = (
-            (study, "dry_land"),
-            (learned, "residual_slush"),
-            (drawn, "randomised_slush"),
-            (learned, "designed_throws"),
-        )
-        shares = (share_of_best(side, name, "zero_shot", depth, best_of=study) for side, name in sides)
+        sides = studies_at(depth, study, *more).items()
+        shares = (share_of_best(side, name, "zero_shot", depth, best_of=study) for name, side in sides)
         yield depth, arms["true_slush", depth], *shares
 
 
@@ -159,15 +154,16 @@ def depths(study: Results, replicates: Results, redrawn: Results) -> Iterable[tu
     share("*Ẽ* of *E*, 1/240 s"),
     share("*Ê\\** of *E*, 1/240 s"),
 )
-def robustness(robust: Results, study: Results, replicates: Results, redrawn: Results) -> Iterable[tuple[Any, ...]]:
+def robustness(robust: Results, study: Results, *more: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate what *E* travels in other conditions at all depths, and the shares of two arms with shorter steps."""
     columns = ("one", "starts", "half_steps", "quarter_steps", "continuous")
-    study, replicates, random = (with_conditions(one, robust) for one in (study, replicates, redrawn["studies"][0]))
+    best_of = with_conditions(study, robust)
     for depth in sorted({row["depth"] for row in study["champions"]}):
-        best = (fmean(champions_of(study, "true_slush", column, depth).values) for column in columns)
-        learned, drawn = (replicates, random) if depth == paper.DEPTH else (study, study)
-        sides = (drawn, "randomised_slush"), (learned, "designed_throws")
-        yield depth, *best, *(share_of_best(side, name, "quarter_steps", depth, best_of=study) for side, name in sides)
+        best = (fmean(champions_of(best_of, "true_slush", column, depth).values) for column in columns)
+        sides = {name: with_conditions(side, robust) for name, side in studies_at(depth, study, *more).items()}
+        shown = ("randomised_slush", "designed_throws")
+        shares = (share_of_best(sides[name], name, "quarter_steps", depth, best_of=best_of) for name in shown)
+        yield depth, *best, *shares
 
 
 @table(
@@ -336,14 +332,16 @@ def engines(robust: Results) -> Iterable[tuple[Any, ...]]:
     for row in robust["champions"]:
         if "mujoco" in row:
             groups.setdefault((row["depth"], row["made_by"]), []).append(row)
+
+    def scores(depth: float, makers: str) -> dict[str, Sample]:
+        rows = {name: np.array([row[name] for row in groups[depth, makers]]) for name in (*columns, "data_set")}
+        return {name: sample_of(rows[name], rows["data_set"]) for name in columns}
+
     for depth, makers in sorted(groups, key=lambda group: (-group[0], group[1] != "True Slush", group[1])):
-        of, best = (
-            {name: np.array([row[name] for row in groups[depth, by]]) for name in columns}
-            for by in (makers, "True Slush")
-        )
-        shares = (of[name].mean() / best[name].mean() for name in columns[2:])
-        alike = np.count_nonzero(abs(of["mujoco"] / of["quarter_steps"] - 1) <= 0.15)
-        yield depth, makers, *(of[name].mean() for name in columns), *shares, f"{alike} of {len(of['one'])}"
+        of, best = scores(depth, makers), scores(depth, "True Slush")
+        shares = (share_of(of[name], best[name]) for name in columns[2:])
+        alike = np.count_nonzero(abs(of["mujoco"].values / of["quarter_steps"].values - 1) <= 0.15)
+        yield depth, makers, *(of[name].values.mean() for name in columns), *shares, f"{alike} of {len(of['one'])}"
 
 
 @table(

@@ -28,7 +28,7 @@ IN_MUJOCO = (0.0, 2.0, 9.0)  # depths [m]
 
 def main() -> None:
     """Score the champions depth by depth."""
-    table = pq.read_table(DOCS / "champions.parquet").select(["environment", "made_by", "depth", "trial"])
+    table = pq.read_table(DOCS / "champions.parquet").select(["environment", "made_by", "depth", "trial", "data_set"])
     designs, depths = puddle.open_designs(DOCS / "champions.parquet"), np.array(table["depth"])
     scores = {name: np.full(len(designs), np.nan) for name in (*CONDITIONS, "passive", "added_late", "mujoco")}
     for depth in np.unique(depths):

@@ -237,7 +237,7 @@ def test_a_robust_design_is_selected_for_its_mean_over_starts_and_steps(settings
     steps = settings.rollout
     for history, _, environment in evolved(settings, tmp_path):
         moved = []
-        for n_substeps, start in ((1, 0), (2, 1), (4, 2)):
+        for n_substeps, start in ((1, 0), (2, 1)):
             designs = Conditions(start=start).of_designs(Designs.from_arrays(history))
             physics = Physics(time_step=1 / 60 / n_substeps)
             n_settle, n_measure = (n * n_substeps for n in (steps.n_settle, steps.n_measure))
@@ -246,7 +246,7 @@ def test_a_robust_design_is_selected_for_its_mean_over_starts_and_steps(settings
         np.testing.assert_array_equal(history["displacement"][:, 0], moved[0])
         np.testing.assert_array_equal(history["fitness"], np.mean(moved, axis=0))
     (first, *_), (paper, *_) = (EVOLVE.plan(of) for of in (settings, parse(Settings, SETTINGS, name="fast")))
-    assert first.weight == 7 * paper.weight
+    assert first.weight == 3 * paper.weight
 
 
 @pytest.mark.parametrize(
