@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, environments
+from pipeline.stages.cost import population_size
 from pipeline.stages.data_sets import AssessmentId
 from pipeline.stages.segments import TrialSpec
 from pipeline.store.manifest import Manifest
@@ -141,11 +142,11 @@ def _workers_per_generation(settings: Settings, chain: Chain[Any]) -> int:
     if not isinstance(chain.spec, TrialSpec):
         return 1
     size = environments.execution_options(settings, chain.spec.environment).designs_per_batch
-    return math.ceil(settings.evolution.optimiser.population_size / size) if size else 1
+    return math.ceil(population_size(settings) / size) if size else 1
 
 
 def _expected_bytes(stage: AnyStage, settings: Settings, chain: Chain[Any], units: tuple[float, ...]) -> float:
     if stage.name == "train":
         return len(units) * (4.0 * float(chain.spec.network.n_weights) + 20e3)
-    per_item, per_unit = _BYTES.get(stage.unit, (1e4, _BYTES_PER_DESIGN * settings.evolution.optimiser.population_size))
+    per_item, per_unit = _BYTES.get(stage.unit, (1e4, _BYTES_PER_DESIGN * population_size(settings)))
     return per_item * len(units) + per_unit * sum(units)

@@ -176,9 +176,12 @@ def _field(value: Any, location: Sequence[int | str]) -> str:
     """Return the dotted name of a setting, without the alternatives of a union, which pydantic's location names too."""
     name = ""
     for index, part in enumerate(location):
-        if isinstance(part, int) if isinstance(value, list) else isinstance(value, dict) and part in value:
+        if isinstance(value, list) and isinstance(part, int):
+            value = value[part] if part < len(value) else None  # pydantic names an element that is missing
+            name += f"[{part}]"
+        elif isinstance(value, dict) and part in value:
             value = value[part]
-            name += f"[{part}]" if isinstance(part, int) else f".{part}"
+            name += f".{part}"
         elif index == len(location) - 1:
             name += f".{part}"
     return name.lstrip(".")

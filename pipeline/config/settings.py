@@ -140,6 +140,11 @@ class EvolutionSettings(Parameters):
         return chosen
 
     @property
+    def population_size(self) -> int | None:
+        """Designs that a generation evaluates; None of a search that does not say, or is not here."""
+        return getattr(self.optimiser, "population_size", None)
+
+    @property
     def maximised(self) -> Objective:
         """The objective; its name alone where a study recorded one whose code is not here."""
         unknown: Any = None

@@ -97,10 +97,12 @@ def robot_address(environment: str, depth: float, trial: int) -> str:
 
 
 def scale_words(settings: Settings) -> str:
-    """Say how the study's scale of evolution compares with the paper's."""
-    evaluated = settings.evolution.n_generations * settings.evolution.optimiser.population_size
-    share = paper.N_EVALUATED / evaluated
-    if share < 1.5 or not settings.has_papers_target:
+    """Say how the study's scale of evolution compares with the paper's, if both are known."""
+    n_designs = settings.evolution.population_size
+    if n_designs is None or not settings.has_papers_target:
+        return ""
+    share = paper.N_EVALUATED / (settings.evolution.n_generations * n_designs)
+    if share < 1.5:
         return ""
     advice = "compare shares, not metres" if share < 500 else "the figures mean nothing"
     return f"1/{share:,.0f} of the paper’s evolution: {advice}"

@@ -117,6 +117,7 @@ def replay_of(
 
     The other arguments are fields of :class:`Replay`.
     """
+    design = design.compact()  # as the trace is
     return Replay(
         title=title,
         seen_in=seen_in,

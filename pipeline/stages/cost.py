@@ -30,7 +30,7 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
         return 1
     if environment in ENVIRONMENTS and ENVIRONMENTS[environment].engine:
         return 1
-    return n_that_fill_lanes(_population_size(settings), settings.physics)
+    return n_that_fill_lanes(population_size(settings), settings.physics)
 
 
 def seconds_of_iteration(network: Architecture, training: Training) -> float:
@@ -45,7 +45,7 @@ def seconds_of_throw(settings: Settings, throws: Throws) -> float:
 
 def seconds_of_generation(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate the time of a generation of a trial, of one rollout each."""
-    return _population_size(settings) * seconds_of_rollout(settings, environment)
+    return population_size(settings) * seconds_of_rollout(settings, environment)
 
 
 def seconds_of_rollout(settings: Settings, environment: EnvironmentName) -> float:
@@ -78,8 +78,9 @@ def _step_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
     if medium is None or is_compiled(medium):
         return 0.0
     n_batched = min(batch_size(settings, environment), settings.grid.n_trials)
-    return _CALL_OF_MEDIUM / (_population_size(settings) * n_batched) + _STEP_IN_MEDIUM
+    return _CALL_OF_MEDIUM / (population_size(settings) * n_batched) + _STEP_IN_MEDIUM
 
 
-def _population_size(settings: Settings) -> int:
-    return getattr(settings.evolution.optimiser, "population_size", 1)  # unknown of a search that is not here
+def population_size(settings: Settings) -> int:
+    """Return how many designs a generation evaluates; 1 where that is not known."""
+    return settings.evolution.population_size or 1

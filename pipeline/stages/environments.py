@@ -87,7 +87,9 @@ def build_environment(
     made_of = media[name]
     if isinstance(made_of, Served):
         local = cast(Ensemble, ensemble_of(networks))
-        return ResidualSlush(depth, ServedEnsemble(local.weights, local.biases, local.form, connect))
+        return ResidualSlush(
+            depth, ServedEnsemble(local.weights, local.biases, local.form, connect, time_step=local.time_step)
+        )
     return environment_of(media, name, depth, ensemble_of(networks) if isinstance(made_of, str) else None)
 
 

@@ -172,11 +172,15 @@ def read_inputs(spec: DataSpec, execution: Execution, inputs: Inputs) -> "StudyR
 
 def read_study(settings: Settings, upstream: Upstream, store: Store) -> "StudyReader":
     """Read what a store has of a study; its files are read when they are asked for."""
+    main = set(_main_throws(settings, (), upstream["collect"])) if "collect" in upstream else set()
     contents = {
-        name: {chain: [StoredFiles(store, item) for item in _read_of(content, items)] for chain, items in done.items()}
+        name: {
+            chain: [StoredFiles(store, item) for item in _read_of(content, items)]
+            for chain, items in upstream[content.stage].done.items()
+            if name != "throws" or chain in main
+        }
         for name, content in CONTENTS.items()
         if content.stage in upstream
-        for done in [upstream[content.stage].done]
     }
     spec = data_spec(settings, trials_of(settings, "transfer"))
     return StudyReader(spec, Execution(settings.work.engine), contents)

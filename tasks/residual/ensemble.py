@@ -10,7 +10,7 @@ tasks/simulation/networks/inference.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numba
@@ -32,6 +32,7 @@ class Ensemble:
     weights: tuple[Float32, ...]  # (n_members, n_in, n_out) for each layer, from a form's inputs to its outputs
     biases: tuple[Float32, ...]  # (n_members, n_out) for each layer
     form: Form
+    time_step: float = field(default=Physics().time_step, kw_only=True)  # that they learned of [s]
 
     @staticmethod
     def from_members(members: Sequence[Mapping[str, Float32]]) -> Ensemble:
@@ -41,6 +42,7 @@ class Ensemble:
             weights=tuple(np.stack([weight for weight, _ in layer]) for layer in by_layer),
             biases=tuple(np.stack([bias for _, bias in layer]) for layer in by_layer),
             form=_form(members[0]),
+            time_step=float(members[0].get("time_step", [Physics().time_step])[0]),
         )
 
     def __repr__(self) -> str:
@@ -59,19 +61,30 @@ class Ensemble:
         weights[0] = self.weights[0].swapaxes(0, 1).reshape(n_in, -1)
         weights[-1] = self.weights[-1].reshape(-1, n_out) / np.float32(self.n_members)
         biases = [*(bias.reshape(-1) for bias in self.biases[:-1]), self.biases[-1].mean(axis=0)]
-        return Ensemble(tuple(one[None] for one in weights), tuple(one[None] for one in biases), self.form)
+        weights, biases = ([one[None] for one in of] for of in (weights, biases))
+        return Ensemble(tuple(weights), tuple(biases), self.form, time_step=self.time_step)
 
-    def scaled(self, factor: float) -> Ensemble:
-        """Return the ensemble for time steps that are a factor as long: outputs, and so changes, are in proportion."""
-        in_proportion = (*[True] * len(self.form.outputs), *self.form.factors_in_proportion)
-        scale = np.where(in_proportion, factor, 1.0).astype(np.float32)
+    def at_time_step(self, time_step: float) -> Ensemble:
+        """Return the ensemble for time steps of another length [s].
+
+        Outputs, and so changes, are in proportion, which is right to first order: drag that acted over a longer step is
+        a little too weak in shorter ones.
+        """
+        if time_step == self.time_step:
+            return self
+        in_proportion = (
+            *(name not in self.form.shares for name in self.form.outputs),
+            *self.form.factors_in_proportion,
+        )
+        scale = np.where(in_proportion, time_step / self.time_step, 1.0).astype(np.float32)
         weights, biases = ((*of[:-1], of[-1] * scale) for of in (self.weights, self.biases))
-        return replace(self, weights=weights, biases=biases)
+        return replace(self, weights=weights, biases=biases, time_step=time_step)
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
         """Predict the velocity changes of one step; member k of several predicts entry k of the first axis.
 
-        The length of the step is implied by the throws. A state that is not finite gives a change that is not finite.
+        The step is as long as they are for (:meth:`at_time_step`). A state that is not finite gives a change that is
+        not finite.
         """
         shape = links.y.shape
         if self.n_members > 1 and shape[:1] != (self.n_members,):

@@ -142,6 +142,8 @@ class Transitions(ArrayData):
             throw, length_scale, *columns = (np.asarray(table[name]) for name in names)
         except KeyError as missing:
             raise ValueError(f"throws: expected a table with columns {', '.join(names)}; it has no {missing}") from None
+        if not (length_scale > 0).all():
+            raise ValueError(f"throws: length_scale is {length_scale.min():g} m, expected more than 0")
         state, number = np.stack(columns, axis=1).astype(np.float32), np.arange(len(throw))
         goes_on = np.append(False, throw[1:] == throw[:-1])
         step = number - np.maximum.accumulate(np.where(goes_on, 0, number))
@@ -157,7 +159,9 @@ class Transitions(ArrayData):
 
     @classmethod
     def of_several(cls, data_sets: Sequence[Self]) -> Self:
-        """Join data sets of different throws, which are numbered anew, from 0."""
+        """Join one or more data sets of different throws, which are numbered anew, from 0."""
+        if not data_sets:
+            raise ValueError("throws: expected at least one data set, got none")
         numbers = [np.unique(data_set.throw, return_inverse=True)[1] for data_set in data_sets]
         first = np.cumsum([0, *(number.max(initial=-1) + 1 for number in numbers)])
         numbered = zip(data_sets, numbers, first[:-1], strict=True)

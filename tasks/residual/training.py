@@ -49,11 +49,12 @@ class TrainedMember:
     learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
     validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units
     law: dict[str, Floats]  # constants and factors of a form that fits some
+    time_step: float  # of the throws [s]
 
     def arrays(self) -> dict[str, Any]:
-        """Return all that inference needs by name: weights, standardisation, law, and the form's name in UTF-8."""
-        form = np.frombuffer(self.form.name.encode(), np.uint8)
-        return {**self.weights, **asdict(self.standardisation), **self.law, "form": form}
+        """Return all that inference needs by name, the form's name in UTF-8."""
+        form, time_step = np.frombuffer(self.form.name.encode(), np.uint8), np.array([self.time_step])
+        return {**self.weights, **asdict(self.standardisation), **self.law, "form": form, "time_step": time_step}
 
 
 def split_throws(throw: Int64, held_out: float, *, seed: int) -> tuple[Bools, Bools]:
@@ -81,6 +82,7 @@ def learn(
     network: Architecture = SMALL,
     training: Training = QUICK,
     seed: int = 1,
+    physics: Physics | None = None,
 ) -> Ensemble:
     """Train an ensemble on throws as studies do, on one core.
 
@@ -95,23 +97,26 @@ def learn(
 
     Args:
         throws: those of ``puddle.throw``, or of ``puddle.record``, or a list of them; or your own: a table, such as a
-            data frame, with a row per step of 1/60 s, throw by throw, and the columns throw, a whole number;
+            data frame, with a row per time step, throw by throw, and the columns throw, a whole number;
             length_scale, the long axis [m]; x and y of the centre, over the surface [m]; angle [rad]; vx, vy [m/s];
             omega [rad/s].
         n_members: number of networks.
         network: size and form of a network, by default 2 × 48 units.
         training: settings of the training, by default of a quick one.
         seed: of the networks and of which throws are held out.
+        physics: constants of the base simulator, that of the throws; the paper's by default, with steps of 1/60 s.
 
     Raises:
         TrainingDiverged: a loss is not finite.
-        ValueError: the table lacks a column, or there are fewer than two throws.
+        ValueError: the table lacks a column, there are fewer than two throws, or no members.
     """
-    if isinstance(throws, list | tuple):
-        throws = Transitions.of_several(throws)
-    throws = throws if isinstance(throws, Transitions) else Transitions.of_states(throws)
-    members = [train_member(throws, network, training, seed=seed, member=member) for member in range(n_members)]
-    return Ensemble.from_members([trained.arrays() for trained in members])
+    if n_members < 1:
+        raise ValueError(f"n_members is {n_members}, expected at least 1")
+    physics, given = physics or Physics(), throws if isinstance(throws, list | tuple) else [throws]
+    known = [one if isinstance(one, Transitions) else Transitions.of_states(one, physics) for one in given]
+    data, members = Transitions.of_several(known), range(n_members)
+    trained = [train_member(data, network, training, seed=seed, member=k, physics=physics) for k in members]
+    return Ensemble.from_members([member.arrays() for member in trained])
 
 
 def train_member(
@@ -235,7 +240,7 @@ def _lesson(
         predicted = np.concatenate((beside, changes_by(acting, read[to_validate])), axis=1)
         speed = np.hypot(transitions.state[to_validate, 3], transitions.state[to_validate, 4])
         errors = error_rows(predicted, residual[to_validate], speed)
-        return TrainedMember(weights, standardisation, form, curve, errors, law)
+        return TrainedMember(weights, standardisation, form, curve, errors, law, physics.time_step)
 
     rng = generator(seed, "member", member)
     return _Lesson(

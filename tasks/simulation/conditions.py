@@ -37,17 +37,8 @@ class Conditions:
         return jittered(designs, generator(0, "start", self.start), shifts)
 
     def of_environment(self, environment: Environment) -> Environment:
-        """Return the environment; networks, which predict the change in a step, change a shorter one in proportion.
-
-        That is right to first order in the time step: drag that acted over the whole step is a little too weak. A law
-        that was fitted knows the time step.
-        """
-        if self.depth is not None:
-            environment = replace(environment, depth=self.depth)
-        scaled = getattr(getattr(environment, "ensemble", None), "scaled", None)
-        if self.n_substeps > 1 and scaled:
-            environment = replace(environment, ensemble=scaled(1 / self.n_substeps))  # type: ignore[call-arg]
-        return environment
+        """Return the environment; its networks follow the time step of the physics."""
+        return environment if self.depth is None else replace(environment, depth=self.depth)
 
     def of_physics(self, physics: Physics) -> Physics:
         """Return the constants of the simulator."""

@@ -131,13 +131,13 @@ def free_links(length_scale: Floats, physics: Physics, fluid: MujocoFluid) -> Ca
 
     Both of its arrays are (n_links, 6) states in the order of :class:`tasks.simulation.box2d.Column`.
     """
-    mujoco = _imported(physics)
-    model = _compiled(mujoco, free_links_mjcf(length_scale, physics, fluid))
+    mujoco, shorter = _imported(physics), _shorter(physics)
+    model = _compiled(mujoco, free_links_mjcf(length_scale, shorter.of_physics(physics), fluid))
     data, immersion = mujoco.MjData(model), _Immersion(model, np.arange(1, len(length_scale) + 1))
 
     def step(state: Float32) -> Float32:
         data.qpos[:], data.qvel[:] = state[:, :3].ravel(), state[:, 3:].ravel()
-        for _ in range(_shorter(physics).n_substeps):
+        for _ in range(shorter.n_substeps):
             _, y, angle = data.qpos.reshape(-1, 3).T
             immersion.set(submerged_part(length_scale, y, np.cos(angle), np.sin(angle))[0])
             mujoco.mj_step(model, data)
@@ -158,7 +158,8 @@ def roll_out(
 ) -> Motion:
     """Return the motion of designs in an environment; the arguments are those of tasks.simulation.rollout.simulate."""
     mujoco, shorter = _imported(physics), _shorter(physics)
-    physics, environment = shorter.of_physics(physics), shorter.of_environment(environment)
+    physics = shorter.of_physics(physics)
+    environment = environment.at_time_step(physics.time_step)
     medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None
     fluid = environment.medium if isinstance(environment.medium, MujocoFluid) else None
     shape = environment.n_members, *designs.parent.shape

@@ -1,8 +1,8 @@
 """Residual Slush: Dry Land plus the velocity changes that residual networks predict. Paper, "Residual Physics"."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from tasks.discovery import with_failures
 from tasks.world.environment import Environment, Pool
@@ -20,6 +20,10 @@ class ResidualSlush(Environment):
 
     ensemble: EnsembleMedium
 
+    def at_time_step(self, time_step: float) -> Environment:
+        """Return the environment whose networks change a step of another length [s] in proportion."""
+        return _at_time_step(self, time_step)
+
     @property
     def medium(self) -> EnsembleMedium:
         """Ensemble."""
@@ -32,10 +36,20 @@ class MeanResidual(Environment):
 
     ensemble: Networks
 
+    def at_time_step(self, time_step: float) -> Environment:
+        """Return the environment whose networks change a step of another length [s] in proportion."""
+        return _at_time_step(self, time_step)
+
     @cached_property
     def medium(self) -> Medium:
         """Mean of the ensemble."""
         return self.ensemble.mean()
+
+
+def _at_time_step(environment: ResidualSlush | MeanResidual, time_step: float) -> Environment:
+    at_time_step = getattr(environment.ensemble, "at_time_step", None)  # a user's own ensemble has none
+    ensemble: Any = at_time_step(time_step) if at_time_step else environment.ensemble
+    return environment if ensemble is environment.ensemble else replace(environment, ensemble=ensemble)
 
 
 def as_environment(given: Environment | Medium | str, depth: float | None = None) -> Environment:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 
 _KICK, _N_SEEN = ("kick_along", "kick_across", "kick_omega"), len(wetted.WETTED.inputs)
+_SHARES = ("along", "across", "omega")
 (half_turn,) = wetted.WETTED.symmetries
 
 
@@ -80,7 +81,8 @@ WETTED_MASS = register_form(
         read=read,
         unseen=_KICK,
         reads_kicks=True,
-        outputs=(*wetted.WETTED.outputs, "along", "across", "omega"),
+        outputs=(*wetted.WETTED.outputs, *_SHARES),
+        shares=_SHARES,
         act=act,
         measured=_measured,
         targets=_targets,

@@ -57,6 +57,8 @@ class Form:
     """Formula: the changes of vx, vy [m/s] and ω [rad/s] in a step, by the outputs and factors, and by what is read."""
     constants: tuple[str, ...] = ()
     """What is fitted to throws, before networks learn what that leaves over."""
+    shares: Collection[str] = ()
+    """Names of outputs that are shares of something, whatever the time step; the others are in proportion to it."""
     factors_in_proportion: tuple[bool, ...] = ()
     """Whether each of the factors of a step that follow from the constants is in proportion to the time step."""
     fit: Callable[[LinkStates, Float32, Float32, Physics], tuple[Float64, Float32]] = (

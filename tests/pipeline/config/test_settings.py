@@ -85,6 +85,7 @@ def test_a_learner_is_the_study_s_groups_with_what_it_states():
             ["throws={source: tracks, design: struck}", "tracks={file: a.csv}", "target=tank_model"],
             "throws.design is struck and throws.source is tracks, but nobody knows what struck a tracked bar",
         ),
+        (["randomised_slush.density=[1.25]"], "randomised_slush.density[1]: expected a value, got none"),
         (["learners.a.network.frm=plain"], "unknown setting; did you mean learners.a.network.form?"),
         (["slush.decay=3"], "--set slush.decay=3: slush.decay: unknown setting; did you mean training.decay?"),
         (["n_steps=3"], "n_steps: unknown setting; did you mean throws.n_steps?"),

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 from command_line import call
 
+from pipeline.config.loading import load, preset_path
+from pipeline.config.settings import Settings
 from pipeline.report.page import draw_all, render_page, render_robot, scale_words
 from pipeline.report.render import tables_of
 from pipeline.report.study_page import StudyPage
+from pipeline.stages.cost import population_size
 from tasks.residual import LEARNERS, arm_kind
 from tasks.world import ENVIRONMENTS
 
@@ -222,3 +225,11 @@ def test_the_whole_grid_stays_under_twelve_megabytes(study, slush_replay, drawn)
     best = replace(plain, disagreement=np.zeros((601, 6)))
     grid = replace(study, replays=[best] * 52 + [plain] * 300)
     assert len(render_page(grid, drawn).encode()) < 12_000_000
+
+
+def test_the_scale_of_a_search_that_names_no_population_is_unknown():
+    settings = load(Settings, preset_path("smoke"))
+    evolution = settings.evolution.model_copy(update={"search": "elsewhere", "elsewhere": {}})
+    of_others = settings.model_copy(update={"evolution": evolution})
+    assert (scale_words(of_others), population_size(of_others)) == ("", 1)
+    assert scale_words(settings).startswith("1/")

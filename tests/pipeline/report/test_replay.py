@@ -40,6 +40,14 @@ def test_time_passes_as_in_the_rollout(rollout):
     assert (encode(slow)["fps"], encode(slow)["quantum"]) == (slow.fps, QUANTUM)
 
 
+def test_a_design_may_have_room_for_more_links(rollout):
+    design, trace, _ = rollout
+    own, wide = (
+        encode(replay_of(of, trace, TrueSlush(2.0), n_settle=60, **WORDS)) for of in (design, design.with_room(8))
+    )
+    assert own == wide
+
+
 @given(
     frames=hnp.arrays(np.float64, st.tuples(st.integers(2, 6), st.just(6), st.just(3)), elements=st.floats(-1e4, 1e4))
 )

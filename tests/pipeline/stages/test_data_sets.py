@@ -10,6 +10,7 @@ from pipeline.stages.collect import COLLECT
 from pipeline.stages.cost import seconds_of_rollout
 from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
 from pipeline.stages.files import HISTORY, PREDICTIONS, SCORE, TRANSITIONS, WEIGHTS
+from pipeline.stages.reader import read_study
 from pipeline.stages.segments import trial_spec
 from pipeline.stages.train import TRAIN
 from pipeline.store.encoding import decode_json
@@ -56,6 +57,8 @@ def test_data_sets_and_networks_all_differ(sets, settings_with):
         *("residual_slush/throws-0", "residual_slush/replicate-1/throws-0"),
         *("designed_throws/throws-0", "designed_throws/replicate-1/throws-0"),
     ]
+    throws = read_study(settings_with(), upstream, store).throws  # of the main data set alone
+    np.testing.assert_array_equal(throws.state, first["residual_slush/throws-0"]["state"])
     states = [table["state"][0].tolist() for table in first.values()]
     assert len(np.unique(states, axis=0)) == 4
     assert len(first["designed_throws/throws-0"]["step"]) == 6 * 29  # as many steps as the design chooses

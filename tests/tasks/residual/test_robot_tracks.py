@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tasks.design import Designs, LinkLimits, Morphology, random_designs
-from tasks.residual import Throws, Training, Transitions
+from tasks.residual import STATE, Throws, Training, Transitions
 from tasks.residual.robot_tracks import record
 from tasks.residual.throws import throw
 from tasks.residual.training import learn
@@ -104,6 +104,31 @@ def test_networks_learn_from_throws_and_tracks():
     )
     for first, same, other in zip(both.weights, joined.weights, alone.weights, strict=True):
         assert np.array_equal(first, same) and not np.array_equal(first, other)
+
+
+def test_networks_know_the_time_step_they_learned_of():
+    physics, quick = Physics(time_step=1 / 120), {"n_members": 2, "training": Training(n_iterations=10, batch_size=64)}
+    throws = throw("true_slush", Throws(n_throws=4, n_steps=20), physics=physics)
+    states = dict(zip(STATE, throws.state.T, strict=True)) | {
+        "throw": throws.throw,
+        "length_scale": throws.length_scale,
+    }
+    learned = learn([throws, states], **quick, physics=physics)
+    assert (learned.time_step, learned.mean().time_step) == (1 / 120, 1 / 120)
+    assert learn(throws, **quick).time_step == 1 / 60
+
+
+@pytest.mark.parametrize(
+    ("throws", "n_members", "said"),
+    [
+        ([], 1, "expected at least one data set, got none"),
+        ({**dict.fromkeys(STATE, (0.0, 1.0)), "throw": [0, 0], "length_scale": [1.0, 0.0]}, 1, "length_scale is 0 m"),
+        ([], 0, "n_members is 0, expected at least 1"),
+    ],
+)
+def test_what_nothing_can_be_learned_from_is_refused(throws, n_members, said):
+    with pytest.raises(ValueError, match=said):
+        learn(throws, n_members=n_members)
 
 
 @pytest.mark.parametrize("environment", [DryLand(9.0), ResidualSlush(9.0, type("Two", (), {"n_members": 2})())])

@@ -9,8 +9,8 @@ from tasks.residual import Architecture
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.served_ensemble import TOLERANCE, ServedEnsemble
 from tasks.residual.torch_networks import OutOfTolerance, TorchNetworks
-from tasks.simulation import Conditions, simulate
-from tasks.world import ResidualSlush
+from tasks.simulation import simulate
+from tasks.world import Physics, ResidualSlush
 from tests.tasks.residual.test_ensemble import members, observations
 
 
@@ -28,11 +28,11 @@ def test_outputs_are_those_of_the_batch_engine(size):
 
 
 def test_rollouts_are_those_of_the_batch_engine():
-    """Also in substeps, whose changes are smaller. Under water nothing makes small differences grow."""
+    """Also in shorter steps, whose changes are smaller. Under water nothing makes small differences grow."""
     designs = random_designs(6, np.random.default_rng(1))
-    for conditions in (Conditions(), Conditions(n_substeps=2)):
+    for physics in (Physics(), Physics(time_step=1 / 120)):
         local, served = (
-            simulate(designs, conditions.of_environment(ResidualSlush(30.0, one)), n_settle=5, n_measure=40)
+            simulate(designs, ResidualSlush(30.0, one), n_settle=5, n_measure=40, physics=physics)
             for one in ensembles(hidden_layers=2, width=32)
         )
         assert abs(local.displacement).max() > 0.1

@@ -9,7 +9,9 @@ from tasks.design import Designs, random_designs, rest_pose
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.forms import form_named
 from tasks.simulation import Conditions, simulate
-from tasks.world import ENVIRONMENTS, DryLand, LinkStates, MeanResidual, Physics, ResidualSlush, TrueSlush
+from tasks.world import ENVIRONMENTS, DryLand, LinkStates, MeanResidual, Physics, Pool, ResidualSlush, TrueSlush
+
+KICKS = ("kick_vx", "kick_vy", "kick_omega")
 
 
 def test_every_joint_of_another_start_is_a_millimetre_and_a_milliradian_off():
@@ -41,19 +43,35 @@ def ensemble():
 
 def test_networks_change_a_shorter_step_in_proportion(ensemble):
     home = ResidualSlush(depth=3.0, ensemble=ensemble)
-    finer = Conditions(depth=1.0, n_substeps=4).of_environment(home)
+    finer = Conditions(depth=1.0).of_environment(home).at_time_step(1 / 240)
     links = LinkStates(*np.random.default_rng(6).normal(size=(9, 2, 3, 6)).astype(np.float32))
     whole, part = (at.medium.velocity_change(links, Physics()) for at in (home, finer))
     assert finer.depth == 1.0 and np.abs(whole.omega).max() > 0
     for name in ("vx", "vy", "omega"):
         np.testing.assert_allclose(getattr(part, name), getattr(whole, name) / 4, rtol=1e-6)
-    assert Conditions().of_environment(home) is home
+    assert Conditions().of_environment(home) is home and home.at_time_step(1 / 60) is home
     mean = MeanResidual(3.0, ensemble)
     alone = LinkStates(*(array[:1] for array in vars(links).values()))
-    whole, part = (
-        at.medium.velocity_change(alone, Physics()) for at in (mean, Conditions(n_substeps=4).of_environment(mean))
-    )
+    whole, part = (at.medium.velocity_change(alone, Physics()) for at in (mean, mean.at_time_step(1 / 240)))
     np.testing.assert_allclose(part.vx, whole.vx / 4, rtol=1e-5)
+
+
+def test_added_mass_takes_back_the_same_share_of_a_kick_in_shorter_steps():
+    rng, form = np.random.default_rng(5), form_named("wetted_mass")
+    weight = np.zeros((1, len(form.inputs) + len(form.unseen), len(form.outputs)), np.float32)
+    weight[:, : len(form.inputs)] = rng.normal(size=(1, len(form.inputs), len(form.outputs)))
+    whole = ResidualSlush(3.0, Ensemble((weight,), (np.full((1, len(form.outputs)), 0.5, np.float32),), form))
+    states = rng.uniform(0.2, 0.9, size=(9, 1, 3, 6)).astype(np.float32)
+    states[3] = -2.0  # y: under water
+    taken = []
+    for at in (whole, whole.at_time_step(1 / 240)):
+        kicked, unkicked = (
+            at.medium.velocity_change(LinkStates(*states, **dict.fromkeys(KICKS, kick * states[0])), Physics())
+            for kick in (0.3, 0.0)
+        )
+        taken.append([getattr(kicked, name) - getattr(unkicked, name) for name in ("vx", "vy", "omega")])
+    assert np.abs(taken[0]).max() > 0.05
+    np.testing.assert_allclose(*taken, atol=1e-5)  # a few units of float32 in changes of up to 10
 
 
 @pytest.mark.parametrize("name", ["true_slush", "flowing_slush"])
@@ -66,15 +84,21 @@ def test_a_fitted_law_knows_the_time_step(name):
         tuple(np.zeros(of, np.float32) for of in layers), (np.zeros((1, 1), np.float32), factors[None]), form
     )
     links = LinkStates(*np.abs(np.random.default_rng(6).normal(size=(9, 1, 3, 6))).astype(np.float32))
-    finer = Conditions(n_substeps=4)
-    fitted = finer.of_environment(ResidualSlush(depth=3.0, ensemble=law)).medium
-    found, expected = (of.velocity_change(links, finer.of_physics(Physics())) for of in (fitted, fluid))
+    finer, learned = Physics(time_step=1 / 240), ResidualSlush(depth=3.0, ensemble=law)
+    found, expected = (of.velocity_change(links, finer) for of in (learned.at_time_step(1 / 240).medium, fluid))
     for part in ("vx", "vy", "omega"):
         np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=1e-5, atol=1e-9)
+    designs, steps = random_designs(4, np.random.default_rng(3)), {"n_settle": 0, "n_measure": 60}
+    for engine in ("batch", "reference"):
+        there, here = (
+            simulate(designs, at, physics=finer, engine=engine, **steps).displacement
+            for at in (learned, Pool(3.0, fluid))
+        )
+        np.testing.assert_allclose(there[0], here, atol=1e-4)  # float32, over a quarter of a second
 
 
 def test_a_medium_knows_the_time_step_itself():
-    assert Conditions(n_substeps=4).of_environment(TrueSlush(depth=3.0)) == TrueSlush(depth=3.0)
+    assert TrueSlush(depth=3.0).at_time_step(1 / 240) == TrueSlush(depth=3.0)
     assert Conditions(n_substeps=4).of_physics(Physics()) == Physics(time_step=1 / 240)
 
 

@@ -8,8 +8,10 @@ import pytest
 
 from tasks.design import random_designs
 from tasks.simulation import simulate
+from tasks.simulation.engine import links_in
 from tasks.simulation.mujoco import EngineError
 from tasks.world import DryLand, EnsembleMedium, LinkStates, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
+from tasks.world.mujoco_fluid import MujocoFluid
 
 DESIGNS = random_designs(3, np.random.default_rng(8))
 SWIMS = {"motor_on": np.ones_like(DESIGNS.motor_on), "frequency": np.full(3, 0.25)}
@@ -54,6 +56,13 @@ def test_members_of_an_ensemble_are_simulated_each_by_itself():
     both = simulate(SWIMMERS, ResidualSlush(9.0, Twice()), engine="mujoco", n_settle=4, n_measure=20, motor_work=True)
     assert (both.displacement == alone.displacement).all() and both.displacement.shape == (2, 3)
     assert (both.motor_work == alone.motor_work).all() and (alone.motor_work > 0).all()
+
+
+@pytest.mark.parametrize("rate", [50, 60, 90, 100, 120])
+def test_a_thrown_bar_falls_for_a_whole_step_whatever_its_length(rate):
+    step = links_in(MujocoFluid(), np.ones(1), Physics(time_step=1 / rate))
+    fallen = step(np.array([[0.0, 5.0, 0.0, 1.0, 0.0, 0.0]], np.float32))
+    assert fallen[0, [0, 4]] == pytest.approx([1 / rate, -9.8 / rate], rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """Laws whose constants are fitted to throws."""
 
+import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,12 +10,14 @@ import pytest
 from tasks.design import random_designs
 from tasks.residual import Architecture, Throws, Training, form_named, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.forms import law
 from tasks.residual.forms.law import UnfittedLaw, constants_of
 from tasks.residual.training import train_member
 from tasks.simulation import simulate
 from tasks.world import ENVIRONMENTS, Physics, Pool, ResidualSlush, Slush
 from tasks.world.anisotropic_slush import AnisotropicSlush
 from tasks.world.falling_plate import FallingPlate
+from tasks.world.medium import Fluid
 
 TRAINING = Training(n_iterations=600, batch_size=256, learning_rate=0.02, loss="mse", held_out=0.25)
 
@@ -68,6 +72,25 @@ def test_networks_learn_what_the_law_leaves_over():
     found = throws(AnisotropicSlush(), n_throws=40)
     law, network, both = (error(trained(found, form)) for form in ("law", "wetted", "law_and_network"))
     assert both < network < law
+
+
+class Treacle(Fluid):
+    """A medium whose factor is not in proportion to a long time step."""
+
+    decay: float = 5.0
+
+    def factors(self, physics):
+        return (math.expm1(-self.decay * physics.time_step),)
+
+    @staticmethod
+    def law(factors, links):
+        return factors[0] * links.vx, factors[0] * links.vy, factors[0] * links.omega
+
+
+def test_a_factor_that_is_nearly_in_proportion_to_the_time_step_follows_it(monkeypatch):
+    kinds = {**ENVIRONMENTS, "treacle": SimpleNamespace(settings=Treacle, has_one_medium=True)}
+    monkeypatch.setattr(law, "ENVIRONMENTS", kinds)
+    assert form_named("law:treacle").factors_in_proportion == (True,)
 
 
 @pytest.mark.parametrize("form", ["law:dry_land", "law:randomised_slush", "law:honey", "law_and_network:honey"])
