@@ -1,11 +1,13 @@
-"""Draw docs/curves.png and docs/learners.png from docs/results: `.venv/bin/python docs/figures.py`."""
+"""Draw figures of docs from docs/results: `.venv/bin/python docs/figures.py`."""
 
 import json
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from samples import LEARNERS, Results, champions_of, share_of, truths
+from samples import LEARNERS, Results, champions_of, share_of, studies_at, truths
+
+from tasks.analysis.estimates import sum_of_means
 
 DOCS = Path(__file__).resolve().parent
 FORMS = {
@@ -19,6 +21,15 @@ FORMS = {
     "tried_mass": ("these, two rounds", "#e69f00", "v"),
     "drawn": ("drawn slushes", "#8b93a1", "X"),
 }
+
+ARMS = {
+    "true_slush": ("True Slush, E", "#0072b2", "o"),
+    "dry_land": ("Dry Land, E′", "#009e73", "s"),
+    "residual_slush": ("Residual Slush, Ê", "#e69f00", "^"),
+    "randomised_slush": ("Randomised Slush, Ẽ", "#8b93a1", "X"),
+    "designed_throws": ("Designed throws, Ê*", "#d55e00", "v"),
+}
+SCORES = {"zero_shot": "zero-shot", "adapted": "controllers adapted"}
 
 
 def results(name: str) -> Results:
@@ -80,7 +91,34 @@ def learners() -> None:
     figure.savefig(DOCS / "learners.png", dpi=110, facecolor="white")
 
 
+def depths() -> None:
+    """Draw how far robots travel in true slush by its depth, zero-shot and adapted."""
+    study, learned, row, redrawn = map(results, ("desk", "desk-five", "desk-replicates", "randomised-slush"))
+    deep = sorted({row["depth"] for row in study["champions"]})
+    figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), sharey=True, layout="constrained")
+    for panel, (score, title) in zip(panels, SCORES.items(), strict=True):
+        for number, (name, (label, colour, marker)) in enumerate(ARMS.items()):
+            samples = [
+                champions_of(studies_at(depth, study, learned, row, redrawn=redrawn)[name], name, score, depth)
+                for depth in deep
+            ]
+            means = [sum_of_means(one) for one in samples]
+            value = np.array([mean.value for mean in means])
+            low, high = np.array([mean.interval or (np.nan, np.nan) for mean in means]).T
+            x = np.arange(len(deep)) + 0.1 * (number - len(ARMS) // 2)
+            ends = value - low, high - value
+            panel.errorbar(x, value, ends, color=colour, marker=marker, label=label, elinewidth=0.7)
+        panel.axhline(0, color="#c9ced6", zorder=0)
+        panel.set(title=title, ylim=(-15, 85))
+        panel.set_xticks(range(len(deep)), [f"{depth:g}" for depth in deep])
+    figure.supxlabel("depth [m]")
+    figure.supylabel("displacement in true slush [m]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    figure.savefig(DOCS / "depths.png", dpi=110, facecolor="white")
+
+
 if __name__ == "__main__":
     plt.style.use("pipeline.report.figures")
+    depths()
     curves()
     learners()

@@ -90,12 +90,14 @@ def share_of_best(
     )
 
 
-def studies_at(depth: float, study: Results, learned: Results, row: Results, redrawn: Results) -> dict[str, Results]:
-    """Return for each arm at a depth the study with the most data sets, or draws."""
-    drawn = (one for one in redrawn["studies"] if one["variant"] == f"around the true ones, {depth:g} m")
-    networks = row if depth == paper.DEPTH else learned
-    arms = ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
-    return dict(zip(arms, (study, networks, next(drawn, study), networks), strict=True))
+def studies_at(depth: float, *studies: Results, redrawn: Results) -> dict[str, Results]:
+    """Return for each arm at a depth the study with the most data sets, or draws around the true slush."""
+    around = [one for one in redrawn["studies"] if one["variant"].startswith("around")]
+    having = {
+        name: [one for one in (*studies, *around) if len(champions_of(one, name, "zero_shot", depth))]
+        for name in ("true_slush", "dry_land", "residual_slush", "randomised_slush", "designed_throws")
+    }
+    return {name: max(those, key=lambda one: int(one["n_replicates"])) for name, those in having.items()}
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ Most are made of results.json of `puddle export`, or list several of those as `s
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -42,6 +41,15 @@ from tasks.analysis.tables.transfer import papers_mean
 
 ROOT = Path(__file__).resolve().parents[1]
 SECTION = re.compile(r"<!-- table (\w+) of (.+?) -->\n.*?<!-- end -->", re.S)
+
+MAKERS = (  # of the robots in the table of engines; robustness.json has others, too
+    "True Slush",
+    "Dry Land",
+    "500 throws of the paper",
+    "500 throws of the paper, the paper's networks",
+    "3,400 designed throws",
+    "domain randomisation",
+)
 
 Tabulate = Callable[..., Iterable[tuple[Any, ...]]]
 TABLES: dict[str, tuple[type, Tabulate]] = {}
@@ -90,13 +98,13 @@ def shares_by(label: str) -> Any:
     share("adapted, of *E*"),
 )
 def shares(study: Results, robust: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate how far champions go at 9 m, of *E* with usual and with shorter steps."""
+    """Tabulate how far champions go at 9 m, of *E* with usual and with shorter steps, but for *Ẽ* of one draw."""
     study = with_conditions(study, robust)
     for arm in study["arms"]:
         name, zero_shot = arm["environment"], arm["zero_shot"]["mean"]
         if name == "true_slush" and arm["depth"] == paper.DEPTH:
             yield label_of(name), None, zero_shot, None, None, share_of_best(study, name, "adapted")
-        elif name != "designed_single_member" and arm["depth"] == paper.DEPTH:
+        elif arm["depth"] == paper.DEPTH and name not in ("designed_single_member", "randomised_slush"):
             of = (share_of_best(study, name, score) for score in ("zero_shot", "quarter_steps", "adapted"))
             yield label_of(name), arm["predicted"]["mean"], zero_shot, *of
 
@@ -135,13 +143,12 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
     share("Randomised Slush, *Ẽ*"),
     share("Designed throws, *Ê\\**"),
 )
-def depths(study: Results, *more: Results) -> Iterable[tuple[Any, ...]]:
+def depths(study: Results, learned: Results, row: Results, redrawn: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate the zero-shot shares of *E* at all depths, by the studies with the most data sets and draws of each."""
-    arms = {(arm["environment"], arm["depth"]): arm["zero_shot"]["mean"] for arm in study["arms"]}
-    for depth in sorted({depth for _, depth in arms}):
-        sides = studies_at(depth, study, *more).items()
-        shares = (share_of_best(side, name, "zero_shot", depth, best_of=study) for name, side in sides)
-        yield depth, arms["true_slush", depth], *shares
+    for depth in sorted({row["depth"] for row in study["champions"]}):
+        (_, best), *sides = studies_at(depth, study, learned, row, redrawn=redrawn).items()
+        shares = (share_of_best(side, name, "zero_shot", depth, best_of=best) for name, side in sides)
+        yield depth, fmean(champions_of(best, "true_slush", "zero_shot", depth).values), *shares
 
 
 @table(
@@ -154,16 +161,20 @@ def depths(study: Results, *more: Results) -> Iterable[tuple[Any, ...]]:
     share("*Ẽ* of *E*, 1/240 s"),
     share("*Ê\\** of *E*, 1/240 s"),
 )
-def robustness(robust: Results, study: Results, *more: Results) -> Iterable[tuple[Any, ...]]:
+def robustness(
+    robust: Results, study: Results, learned: Results, row: Results, redrawn: Results
+) -> Iterable[tuple[Any, ...]]:
     """Tabulate what *E* travels in other conditions at all depths, and the shares of two arms with shorter steps."""
     columns = ("one", "starts", "half_steps", "quarter_steps", "continuous")
-    best_of = with_conditions(study, robust)
     for depth in sorted({row["depth"] for row in study["champions"]}):
-        best = (fmean(champions_of(best_of, "true_slush", column, depth).values) for column in columns)
-        sides = {name: with_conditions(side, robust) for name, side in studies_at(depth, study, *more).items()}
-        shown = ("randomised_slush", "designed_throws")
-        shares = (share_of_best(sides[name], name, "quarter_steps", depth, best_of=best_of) for name in shown)
-        yield depth, *best, *shares
+        found = studies_at(depth, study, learned, row, redrawn=redrawn)
+        sides = {name: with_conditions(side, robust) for name, side in found.items()}
+        best = sides["true_slush"]
+        shares = (
+            share_of_best(sides[name], name, "quarter_steps", depth, best_of=best)
+            for name in ("randomised_slush", "designed_throws")
+        )
+        yield depth, *(fmean(champions_of(best, "true_slush", of, depth).values) for of in columns), *shares
 
 
 @table(
@@ -275,20 +286,16 @@ def worlds(kicks: Results, curves: Results) -> Iterable[tuple[Any, ...]]:
     share("*Ê\\** of *E*"),
     share("dry land of *E*"),
     share("*E* at 1/240 s"),
-    share("*Ê\\** at 1/240 s"),
     share("*E* in MuJoCo"),
-    share("*Ê\\** in MuJoCo"),
     share("*E* in a current"),
-    share("*Ê\\** in a current"),
 )
 def controllers(results: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate what other robots travel: shares of their *E*, and of what each keeps elsewhere of its own."""
+    """Tabulate what other robots travel: shares of their *E*, and of what this keeps elsewhere of its own."""
     for study in results["studies"]:
-        depth, arms = study["depth"], ("true_slush", "designed_throws")
+        depth, best = study["depth"], champions_of(study, "true_slush", "zero_shot", study["depth"])
         shares = [share_of_best(study, arm, "zero_shot", depth) for arm in ("designed_throws", "dry_land")]
-        for score, arm in itertools.product(("quarter_steps", "mujoco", "current"), arms):
-            shares.append(share_of(*(champions_of(study, arm, one, depth) for one in (score, "zero_shot"))))
-        yield depth, study["robots"], champions_of(study, "true_slush", "zero_shot", depth).values.mean(), *shares
+        elsewhere = (champions_of(study, "true_slush", of, depth) for of in ("quarter_steps", "mujoco", "current"))
+        yield depth, study["robots"], best.values.mean(), *shares, *(share_of(kept, best) for kept in elsewhere)
 
 
 @table(text("truth"), text("learns"), *(text(f"{'round ' * (not k)}{k}") for k in range(4)))
@@ -299,7 +306,8 @@ def rounds(results: Results) -> Iterable[tuple[Any, ...]]:
         for row in arm["rounds"]:
             by_round.setdefault(row["round"], []).append(row)
         means = ([fmean(row[of] for row in rows) for of in ("predicted", "true")] for rows in by_round.values())
-        learns = f"`{arm['form']}`, {arm['throws']}" + ("" if arm["tries"] else ", throws alone")
+        throws = {"robots": "designed throws", "struck": "struck throws"}[arm["throws"]]
+        learns = f"`{arm['form']}`, {throws} " + ("and robots" if arm["tries"] else "alone")
         yield arm["truth"], learns, *(f"{predicted:.1f} → {true:.1f}" for predicted, true in means)
 
 
@@ -330,14 +338,14 @@ def engines(robust: Results) -> Iterable[tuple[Any, ...]]:
     columns = ("one", "added_late", "quarter_steps", "mujoco")
     groups: dict[tuple[float, str], list[Mapping[str, float]]] = {}
     for row in robust["champions"]:
-        if "mujoco" in row:
+        if "mujoco" in row and row["made_by"] in MAKERS:
             groups.setdefault((row["depth"], row["made_by"]), []).append(row)
 
     def scores(depth: float, makers: str) -> dict[str, Sample]:
         rows = {name: np.array([row[name] for row in groups[depth, makers]]) for name in (*columns, "data_set")}
         return {name: sample_of(rows[name], rows["data_set"]) for name in columns}
 
-    for depth, makers in sorted(groups, key=lambda group: (-group[0], group[1] != "True Slush", group[1])):
+    for depth, makers in sorted(groups, key=lambda group: (-group[0], MAKERS.index(group[1]))):
         of, best = scores(depth, makers), scores(depth, "True Slush")
         shares = (share_of(of[name], best[name]) for name in columns[2:])
         alike = np.count_nonzero(abs(of["mujoco"].values / of["quarter_steps"].values - 1) <= 0.15)
