@@ -61,9 +61,12 @@ def compare_run(
     output_suffix(out, (".html",))
     recorded = None if study is None else open_study(study, store, say=to_stderr)
     robot = read_kit(kit, recorded)
-    if recorded is not None:
+    own = recorded is not None and robot.name.startswith(f"{recorded.name}-trial-")  # as a proposed champion is called
+    if recorded is not None and (robot.predicted is None or not own):  # else the kit has the trial's own ensemble's
         robot = _predicted(robot, recorded)
     if run.suffix in (".csv", ".parquet", ".gz"):
+        if markers or lens or slowdown != 1.0:
+            raise PuddleError(f"{run}: --markers, --lens and --slowdown are for a video, not for tracks")
         paths, lines = _read_tracks(run, robot.design.room), list[str]()
     else:
         paths, lines = _tracked(run, markers, TrackOptions(lens, slowdown, robot=True))

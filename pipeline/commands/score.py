@@ -57,8 +57,9 @@ def score(
     name, objective = checked_environment(settings, environment, depth), settings.evolution.maximised
     if objective.name not in OBJECTIVES:
         raise PuddleError(f"study {settings.name}: expected the code of its objective {objective.name}, found none")
-    if out is not None:
-        output_suffix(out, (".parquet", ".csv"))
+    suffix = "" if out is None else output_suffix(out, (".parquet", ".csv"))
+    if out is not None and out.resolve() == path.resolve():
+        raise PuddleError(f"--out: expected another file than the designs', got {out}")
     designs = open_designs(path)
     networks = required_networks(options, settings, name) if name in settings.learners else {}
     simulation = environments.simulation_spec(settings, name)
@@ -91,5 +92,5 @@ def score(
         units = {**_UNITS, "fitness": objective.unit}
         table = {**columns_of_designs(path), **table}
         content = encode_table(table, schema="scores", version=1, units=units)
-        disk.write(out, content if out.suffix == ".parquet" else csv_of(table))
+        disk.write(out, content if suffix == ".parquet" else csv_of(table))
         to_stdout(f"  scores in {out}")

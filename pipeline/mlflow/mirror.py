@@ -26,6 +26,9 @@ _MAX_METRICS, _MAX_PARAMS = 1000, 100  # per log_batch
 _LAST_PART, _FILES = "puddle.curves", "puddle.files"
 """Tags that say what has been sent: the last part of a run's curves, and digests of sets of files."""
 
+_SQLITE = "sqlite:///"
+_FAILURE = "failure"  # tag of a run that failed, which goes where it is tried again
+
 _Slot = tuple[str, str]  # a run's kind and key
 
 
@@ -36,6 +39,8 @@ class Tracker:
         """Prepare to use the database in a store's folder, or the MLflow of a URI, by default MLFLOW_TRACKING_URI."""
         self._store, self._say = store, say
         self._uri = uri or os.environ.get("MLFLOW_TRACKING_URI") or None
+        if self._uri and self._uri.startswith(_SQLITE):  # Ray changes the working folder for a while
+            self._uri = f"{_SQLITE}{Path(self._uri.removeprefix(_SQLITE)).resolve()}"
         self._warned = False
         self._client: Any = None
         self._experiment = ""
@@ -136,7 +141,9 @@ class Tracker:
             self._client.log_batch(run.info.run_id, params=params[start : start + _MAX_PARAMS])
         if new_tags:  # last: after a failure, points are sent twice rather than never
             self._client.log_batch(run.info.run_id, tags=new_tags)
-        return bool(params or metrics or new_tags)
+        if outdated := _FAILURE in held.tags and _FAILURE not in tags:
+            self._client.delete_tag(run.info.run_id, _FAILURE)
+        return bool(params or metrics or new_tags or outdated)
 
     def _send_files(self, run: Any, files: Mapping[str, bytes]) -> bool:
         """Send files, unless a tag says that they have been sent."""

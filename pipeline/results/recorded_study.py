@@ -74,7 +74,9 @@ class Study:
         shown = f'<pre style="white-space: pre-wrap">{escape(repr(self))}</pre>'
         if not self.upstream["transfer"].done:
             return shown
-        table = as_html(TransferRow, transfer_rows(self.trials(), self.settings.target), self.name)
+        kind = scored_by(self.settings.evolution.maximised, TransferRow)
+        rows, learners = transfer_rows(self.trials(), self.settings.target), self.settings.arm_learners
+        table = as_html(kind, rows, self.name, learners=learners)
         return f"{shown}Champions in {self.settings.target_label}, mean ± SD over trials:{table}"
 
     @property

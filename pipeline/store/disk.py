@@ -23,6 +23,9 @@ _NO_FLUSH = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
 """What file systems say that flush no folders, such as VirtualBox's shared ones; none means that the disk fails."""
 
 
+LOST_AND_FOUND = "lost+found"  # in the root of a disk: nothing of the user's
+
+
 def read(path: Path) -> bytes:
     """Return the content of a file."""
     with named(path):

@@ -17,6 +17,7 @@ from pipeline.store import disk
 from pipeline.store.encoding import Json, decode_document, encode_document
 
 _DRAFT = ".puddle-"  # begins the name of the temporary folder, which a killed process leaves
+_OF_NOBODY = (_DRAFT, disk.LOST_AND_FOUND)
 
 
 @dataclass
@@ -61,7 +62,7 @@ class FolderKind:
             found = "a file"
         elif not folder.parent.is_dir():
             found = f"no {folder.parent}"
-        elif folder.is_dir() and any(not path.name.startswith(_DRAFT) for path in folder.iterdir()):
+        elif folder.is_dir() and any(not path.name.startswith(_OF_NOBODY) for path in folder.iterdir()):
             found = f"no {source}"
         else:
             return {}

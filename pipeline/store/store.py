@@ -38,6 +38,7 @@ STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
 WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."  # advice for a study's record
 
+_EXPORTED = ".files"  # in a study's folder of the report: the names of what is there
 _WAIT = "Wait until it ends, or stop it (Ctrl-C); its committed results are safe."
 
 
@@ -88,7 +89,9 @@ class Store(Items):
     @classmethod
     def _create(cls, root: Path) -> None:
         disk.make_folders(root)
-        others = sorted({path.name for path in root.iterdir()} - {"commit.lock", ".store.json.tmp"})
+        others = sorted(
+            {path.name for path in root.iterdir()} - {"commit.lock", ".store.json.tmp", disk.LOST_AND_FOUND}
+        )
         if others and not (root / "store.json").exists():  # in this order: another process may be making it
             raise PuddleError(
                 f"{root}: expected a store, or an empty folder to create one in, found {', '.join(others[:3])}"
@@ -210,12 +213,18 @@ class Store(Items):
             return None if free else file.read() or "another process, which has only just started"
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
-        """Write a study's report to its folder, over the earlier one, and return the folder."""
+        """Write a study's report to its folder in place of the earlier one, and return the folder."""
         folder = self.export_path(name)
+        listed = folder / _EXPORTED
         with disk.locked(self.root / "commit.lock"):
             disk.make_folders(folder)
+            earlier = set(disk.read(listed).decode().split("\n")) if listed.exists() else set()
+            disk.place(listed, "\n".join(sorted(earlier | set(files))).encode())  # first, so that no file is forgotten
             for file, data in sorted(files.items()):
                 disk.place(folder / file, data)
+            for file in earlier - set(files):
+                disk.unlink(folder / file)
+            disk.place(listed, "\n".join(sorted(files)).encode())
         return folder
 
     def export_path(self, name: str) -> Path:

@@ -40,7 +40,7 @@ def test_scores_in_the_target_need_no_store(recorded, designs, tmp_path):
     champions = champions.append_column("note", pa.array([None, *["lively"] * (len(champions) - 1)]))
     pq.write_table(champions, tmp_path / "champions.parquet")
     (tmp_path / "tiny.json").write_text(json.dumps({"name": "tiny", "rollout": {"n_settle": 5, "n_measure": 20}}))
-    out = tmp_path / "scores.csv"
+    out = tmp_path / "scores.CSV"
     at = ["--depth", "1", "--settings", str(tmp_path / "tiny.json")]
     assert call("score", str(tmp_path / "champions.parquet"), *at, "--out", str(out)) == 0
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
@@ -65,3 +65,12 @@ def test_scores_in_the_target_need_no_store(recorded, designs, tmp_path):
 )
 def test_bad_arguments(designs, capsys, arguments, said):
     assert said in refused(capsys, "score", str(designs), *arguments)
+
+
+def test_the_designs_are_not_overwritten(designs, capsys):
+    before = designs.read_bytes()
+    at = ["--environment", "dry_land", "--depth", "1"]
+    assert "expected another file than the designs'" in refused(
+        capsys, "score", str(designs), *at, "--out", str(designs)
+    )
+    assert designs.read_bytes() == before

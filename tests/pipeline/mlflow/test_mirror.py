@@ -135,6 +135,15 @@ def test_a_store_of_an_odd_name_keeps_its_mirror_inside(name, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
+def test_a_relative_database_is_that_of_the_folder_in_which_the_study_began(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tracker = Tracker(tmp_path, "sqlite:///runs.db", say=pytest.fail)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    tracker.mirror(STUDY, STAGE)
+    assert (tmp_path / "runs.db").is_file() and not list((tmp_path / "elsewhere").glob("*.db"))
+
+
 def test_mirrored_twice_is_mirrored_once(store):
     quiet(store).mirror(STUDY, STAGE, TRIALS)
     once = everything(store)
@@ -156,6 +165,14 @@ def test_what_changed_is_brought_up_to_date_in_place(store):
     assert {run.info.status for run in after.values()} == {"FINISHED"}
     assert after["stage", "evolve"].data.metrics == {"best": 9.5}  # what is not finite is not sent
     assert sorted(curve(store, "trial 0")) == list(range(1500))
+
+
+def test_a_trial_that_is_tried_again_has_not_failed(store):
+    tracker, trial = quiet(store), TRIALS[0]
+    for status, tags in (("FAILED", {"failure": "its worker died"}), ("FINISHED", {})):
+        tracker.mirror(STUDY, STAGE, [replace(trial, status=status, tags=tags)])
+        run = runs(store)["trial", trial.name]
+        assert (run.info.status, run.data.tags.get("failure")) == (status, tags.get("failure"))
 
 
 def test_only_finite_values_are_sent(store):

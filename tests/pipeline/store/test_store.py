@@ -183,9 +183,14 @@ def test_whoever_removes_excludes_who_drives(store: Store) -> None:
             raise AssertionError("used what is removed")
 
 
-def test_a_report_is_written_over_the_earlier_one(store: Store) -> None:
-    folder = store.export("laptop", {"index.html": b"old", "kept.svg": b"<svg/>"})
+def test_a_report_takes_the_place_of_the_earlier_one(store: Store) -> None:
+    folder = store.export("laptop", {"index.html": b"old", "robot.svg": b"<svg/>"})
     assert folder == store.root / "studies" / "laptop" / "report"
     (folder / "notes.txt").write_bytes(b"mine")
     store.export("laptop", {"index.html": b"new"})
-    assert tree(folder) == {"index.html": b"new", "kept.svg": b"<svg/>", "notes.txt": b"mine"}
+    assert tree(folder) == {"index.html": b"new", "notes.txt": b"mine", ".files": b"index.html"}
+
+
+def test_the_root_of_a_disk_may_be_a_store(tmp_path: Path) -> None:
+    (tmp_path / "lost+found").mkdir()
+    assert Store.open(tmp_path, create=True).root == tmp_path
