@@ -80,8 +80,8 @@ def compare_run(
 
 
 def _predicted(robot: BuiltRobot, study: Study) -> BuiltRobot:
-    """Predict the robot's speed by the ensemble of a study, whose physics may differ from the kit's."""
-    rollout, physics = study.settings.rollout, study.settings.physics
+    """Predict the robot's speed by the ensemble of a study, with the physics of the kit, whose joints are as built."""
+    rollout, physics = study.settings.rollout, robot.physics
     at = ResidualSlush(depth=robot.environment.depth, ensemble=study.ensemble())
     rollouts = simulate(robot.design, at, n_settle=rollout.n_settle, n_measure=rollout.n_measure, physics=physics)
     if not np.isfinite(rollouts.displacement).all():

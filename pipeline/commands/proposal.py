@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.bench.fabrication.source import DesignSource
+from pipeline.bench.fabrication.source import DesignSource, as_built
 from pipeline.errors import PuddleError
 from pipeline.results.recorded_study import Study
 from pipeline.stages import environments
@@ -68,14 +68,13 @@ def _ensembles(study: Study) -> list[EnvironmentName]:
 def _predictions(
     study: Study, design: Designs, environment: EnvironmentName, depth: float, trial: int
 ) -> tuple[float, ...] | None:
-    """Simulate a trial's design under every member of its own ensemble, or of the study's first, if there is one."""
+    """Simulate a robot as built under every member of its trial's own ensemble, or of the study's first, if any."""
     ensembles = _ensembles(study)
     if not ensembles:
         return None
     try:
-        rollouts = study.simulate(
-            design, environment if environment in ensembles else ensembles[0], depth=depth, trial=trial
-        )
+        evolved, physics = environment if environment in ensembles else ensembles[0], as_built(study.settings.physics)
+        rollouts = study.simulate(design, evolved, depth=depth, trial=trial, physics=physics)
     except MissingInputs:
         return None
     return tuple(rollouts.displacement[:, 0].tolist()) if (rollouts.status == OK).all() else None

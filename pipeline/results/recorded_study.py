@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -32,6 +32,7 @@ from tasks.analysis.scores import ScoredTrial
 from tasks.analysis.tables.transfer import TransferRow, transfer_rows
 from tasks.design import Designs
 from tasks.simulation import Rollouts
+from tasks.world import Physics
 
 if TYPE_CHECKING:
     from tasks.world import EnsembleMedium
@@ -215,6 +216,7 @@ class Study:
         depth: float | None = None,
         trial: int = 0,
         trace: bool = False,
+        physics: Physics | None = None,
     ) -> Rollouts:
         """Simulate designs as the study does: with its rollout, physics, media and networks.
 
@@ -224,6 +226,7 @@ class Study:
             depth: of the ground below the surface [m]; by default the greatest of the study.
             trial: number of the trial whose networks a learner has.
             trace: whether to record the state after every step.
+            physics: constants of the simulator; by default the study's.
 
         Raises:
             PuddleError: there is no such environment, or it is a learner that the study lacks.
@@ -240,6 +243,7 @@ class Study:
         of_trial = networks_of(TrialId("evolve", environment, depth, trial, self.settings.replicates), learner)
         networks = environments.read_networks(of_trial, self.upstream, self.store)
         spec = environments.simulation_spec(self.settings, environment)
+        spec = replace(spec, physics=physics or spec.physics)
         at = environments.build_environment(spec.media, environment, depth, networks)
         return environments.roll_out(spec, Execution(self.settings.work.engine), at, designs, trace=trace)
 

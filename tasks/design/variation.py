@@ -214,6 +214,8 @@ def draw_random(
     n_designs: int, rng: Generator, *, body: Designs | None, morphology: Morphology, controller: str = OPEN_LOOP
 ) -> Drawn:
     """Return random designs, and how many were drawn for each; see :func:`random_designs`."""
+    if body is not None and len(body) != 1:
+        raise ValueError(f"body: expected one design, got {len(body)}")
     constraints = morphology if body is None else morphology.of_controllers()
     variation = variation_of(morphology, body=body, controller=controller)
     return Sampler(rng, variation, constraints, controller).random(n_designs)
@@ -248,8 +250,11 @@ def mutate(
 
     Raises:
         DesignError: no mutant of a parent is within the morphology.
+        ValueError: there is no such part, or none.
     """
     _check_source(rng)
+    if not parts or set(parts) - {"body", "control"}:
+        raise ValueError(f"parts: expected body, control or both, got {parts!r}")
     limits = morphology.n_links
     room = max(designs.room, limits.most if limits.least < limits.most else 0)
     variation = variation_of(morphology, mutation=mutation, parts=parts, controller=designs.controller, room=room)

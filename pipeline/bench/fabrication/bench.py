@@ -43,7 +43,7 @@ class Bench:
     """Everything about a kit beside its parts."""
 
     scales: Scales
-    simulated: SimulatedRun | None  # none if the simulation diverged
+    simulated: SimulatedRun | None  # none if the simulation diverged or has no torques; the findings say which
     loads: tuple[JointLoad, ...]
     floating: Floating
     calibration: Calibration | None  # none if no joint has a servo
@@ -62,14 +62,14 @@ def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physi
     calibration = _calibration_of(kit)
     timeline, about_timeline = _played(source, scales, calibration)
     simulated = _simulated(source, physics)
-    loads = () if simulated is None else tuple(_loads(source, kit, simulated, scales, physics))
-    diverged = KitFinding("fault", "joints", "loads are unknown because the simulation diverged")
-    about_loads = [diverged] if simulated is None else check_loads(loads, kit.servo)
+    run = simulated if isinstance(simulated, SimulatedRun) else None
+    loads = () if run is None else tuple(_loads(source, kit, run, scales, physics))
+    about_loads = check_loads(loads, kit.servo) if isinstance(simulated, SimulatedRun) else [simulated]
     floating = floating_of(kit, fluid_density=choices.scaling.fluid_density)
     about_robot = (KitFinding("warning", "robot", message) for message in _check_tank(source, choices, floating))
     return Bench(
         scales=scales,
-        simulated=simulated,
+        simulated=run,
         loads=loads,
         floating=floating,
         calibration=calibration,
@@ -121,15 +121,17 @@ def _check_tank(source: DesignSource, choices: FabricationSettings, floating: Fl
         )
 
 
-def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | None:
-    """Simulate a design on the reference engine, the only one that reports motor torques. None if it diverges."""
+def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | KitFinding:
+    """Simulate a design on the reference engine, the only one that reports motor torques."""
     design, rollout = source.design, source.settings.rollout
     target = source.settings.target
     media = environments.media_of(source.settings, target)
     environment = environments.build_environment(media, target, source.depth, source.networks)
     rollouts = simulate(design, environment, engine="reference", trace=True, physics=physics, **rollout.model_dump())
-    if rollouts.status[0] != OK or rollouts.trace is None or rollouts.motor_torque is None:
-        return None
+    if rollouts.status[0] != OK or rollouts.trace is None:
+        return KitFinding("fault", "joints", "loads are unknown because the simulation diverged")
+    if rollouts.motor_torque is None:
+        return KitFinding("warning", "joints", f"loads are unknown: the engine of {target} reports no torques")
     joints = list(driven_joints(design))
     trace = rollouts.trace[0, rollout.n_settle :].astype(np.float64)
     return SimulatedRun(

@@ -96,7 +96,7 @@ def _figure(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Ma
 def _torque(kit: Kit, bench: Bench) -> tuple[Figure, str]:
     """Draw the load of every joint against the servo's torque–speed line."""
     if bench.simulated is None:
-        raise NothingToDraw("the simulation diverged")
+        raise NothingToDraw("the simulation diverged, or its engine reports no torques")
     if not bench.loads:
         raise NothingToDraw("no joint has a servo")
     figure = Figure(figsize=(FIGURE_WIDTH, 3.3), layout="constrained")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pydantic_core import to_jsonable_python
 
 from pipeline.bench.fabrication.kit_files import KIT, calibration_yaml, timeline_json, write_folder
-from pipeline.bench.fabrication.source import DesignSource
+from pipeline.bench.fabrication.source import DesignSource, as_built
 from pipeline.errors import PuddleError
 from pipeline.stages import environments
 from pipeline.store.design_file import design_json
@@ -47,7 +47,7 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
         kit = build_kit(source.design, choices.kit)
     except (KitError, DesignError) as error:
         raise PuddleError(f"{source.name}: {error}") from None
-    physics = source.settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
+    physics = as_built(source.settings.physics)
     bench = bench_of(source, kit, choices, physics)
     findings = sorted((*kit.findings, *bench.findings), key=lambda finding: finding.severity)  # faults first
     n_faults = sum(finding.severity == "fault" for finding in findings)
@@ -57,6 +57,10 @@ def fabricate(source: DesignSource, choices: FabricationSettings, out: Path) -> 
     files["index.html"] = render_kit(kit, bench, source, choices, findings=findings, physics=physics, folder=place.name)
     manifest = _manifest(source, choices, findings, physics)
     lines = write_folder(KIT, place, files, manifest)
+    if any(line.startswith("Preserved calibration.yaml") for line in lines):
+        lines.append(
+            "`puddle servo play` now has values of the data sheet: calibrate again, or put yours in their place"
+        )
     lines += [f"{finding.severity:<8} {finding.where}: {finding.message.rstrip('.')}." for finding in findings]
     lines += [f"joint {load.joint}: the servo gives {load.margin:.2f} times what the run needs" for load in bench.loads]
     last = f"{verdict(findings)} Kit of a robot of {kit.mass_g:.0f} g: {out / 'index.html'}"

@@ -11,8 +11,14 @@ from pipeline.stages.data_sets import NetworkId
 from pipeline.store.design_file import load_design
 from pipeline.workflow.stage import Files
 from tasks.design import Designs
+from tasks.world import Physics
 
 _PHYSICAL_DEPTH = 2.0  # of the slush in which a design file is simulated [m]; paper, "Physical Validation"
+
+
+def as_built(physics: Physics) -> Physics:
+    """Return the physics of a kit: joints without a motor are locked, and links collide."""
+    return physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +31,7 @@ class DesignSource:
     settings: Settings  # settings of the study, or those for simulating a design file
     depth: float  # depth of the slush in the simulation [m]
     predicted: tuple[float, ...] | None
-    """(n_members) displacements that the study's ensemble predicts [m of simulation], if there is one."""
+    """(n_members) displacements that the study's ensemble predicts of the robot as built [m of simulation], if any."""
     networks: Mapping[NetworkId, Files] = field(default_factory=dict)  # of a learned target
 
     @property

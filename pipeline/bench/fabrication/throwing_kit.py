@@ -7,6 +7,7 @@ from math import degrees, tau
 from pathlib import Path
 
 import yaml
+from pydantic import ValidationError
 
 from pipeline.bench.fabrication.kit_files import write_folder
 from pipeline.bench.fabrication.make_kit import require_cad
@@ -44,9 +45,12 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
     settings, throwing = choices.kit, choices.throwing
     try:
         bars = throwing_bars(throwing, settings, choices.scaling.fluid_density)
+        markers = markers_of(throwing, bars)
     except KitError as error:
         raise PuddleError(str(error)) from None
-    markers = markers_of(throwing, bars)
+    except ValidationError as error:
+        said = "; ".join(found["msg"].removeprefix("Value error, ") for found in error.errors())
+        raise PuddleError(f"throwing: {said}") from None
     highest = throwing.tank_height - throwing.waterline
     throws = starts_of(bars, settings.scale_mm_per_m / 1000, lowest=-throwing.waterline, highest=highest)
     made = tag_sheets(markers, [bar.name for bar in bars])

@@ -5,7 +5,7 @@ time-out switches silent channels off. Limits, rates and the shutdown are those 
 """
 
 import contextlib
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from math import degrees, isfinite, radians
 from pathlib import Path
 
@@ -56,8 +56,13 @@ def calibrate(
         for number, servo in enumerate(chosen, 1):
             free = {"min_us": _LOWEST_US, "max_us": _HIGHEST_US, "max_speed": min(_SPEED, servo.max_speed)}
             of_servo = log_path if number == 1 else log_path.with_stem(f"{log_path.stem}-{number}")
-            frames = _measurement(servo, user, measured)
-            if not run(controller, [servo.model_copy(update=free)], frames, of_servo, user, clock or Clock()):
+            neutral = {servo.channel: servo.centre_us}
+            frames, moved = _measurement(servo, user, measured, neutral), [servo.model_copy(update=free)]
+            again = number == 1 or connection.dry_run
+            if not (again or user.confirm(f"Move the servo of joint {servo.joint} on channel {servo.channel}?")):
+                user.say(f"{path} is unchanged.")
+                return False
+            if not run(controller, moved, frames, of_servo, user, clock or Clock(), show=_nothing, neutral=neutral):
                 user.say(f"{path} is unchanged.")
                 return False
     after = Calibration(servos=tuple(measured.get(servo.channel, servo) for servo in before.servos))
@@ -76,13 +81,23 @@ def calibrate(
     return True
 
 
-def _measurement(servo: ServoCalibration, user: User, measured: dict[int, ServoCalibration]) -> Frames:
-    """Ask for the four measurements of a servo while it is held, and add its calibration to ``measured``."""
+def _nothing(time: float, sent: Mapping[int, float], lateness: float) -> None:
+    """Show nothing while the user types."""
+
+
+def _measurement(
+    servo: ServoCalibration, user: User, measured: dict[int, ServoCalibration], neutral: dict[int, float]
+) -> Frames:
+    """Ask for the four measurements of a servo while it is held, and add its calibration to ``measured``.
+
+    Once its rest is known it is ``neutral``, to which it returns: the earlier one may be beyond what it touches.
+    """
     user.say(
         f"\nJoint {servo.joint} on channel {servo.channel}. Type a step such as +20 or -5 [µs] to move it, at most "
         f"{_LARGEST_STEP_US:g} at a time, and an empty line when it is there."
     )
     rest = yield from _moved(servo.centre_us, "1 of 4: move it until the joint is at rest, as in the drawing.", user)
+    neutral[servo.channel] = rest
     us_per_rad, direction, pulse = yield from _scale(rest, user)
     question = "3 of 4: move it to the shortest pulse before anything touches."
     shortest = yield from _moved(pulse, question, user, below=rest)

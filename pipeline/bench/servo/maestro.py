@@ -11,6 +11,7 @@ when the host falls silent (docs/servo.md).
 import contextlib
 import errno
 import math
+import termios
 from collections.abc import Iterator, Mapping
 
 import serial
@@ -126,7 +127,7 @@ class Maestro:
     def _port_kept(self, doing: str) -> Iterator[None]:
         try:
             yield
-        except (serial.SerialException, OSError) as error:
+        except (serial.SerialException, OSError, termios.error) as error:
             raise PortLostError(f"{self.name}: lost the port while {doing}: {_reason(error)}") from error
 
 

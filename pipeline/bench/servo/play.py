@@ -127,14 +127,18 @@ def run(
     log_path: Path,
     user: User,
     clock: Clock,
+    *,
+    show: Show | None = None,
+    neutral: Mapping[int, float] | None = None,
 ) -> bool:
     """Send frames to an open controller until they end or the user stops them, and log what was sent.
 
-    Returns whether the frames reached their end. Raises PuddleError if something fails; the message says how the servos
-    were left.
+    ``show`` is called for each frame, by default to keep a line of the terminal up to date. Servos return to
+    ``neutral``, by default to their centres. Returns whether the frames reached their end. Raises PuddleError if
+    something fails; the message says how the servos were left.
     """
     with ServoLog(log_path) as log, stopped_by_signals() as stop:
-        player = Player(controller, servos, log, stop, clock, show=_live_line(servos))
+        player = Player(controller, servos, log, stop, clock, show=show or _live_line(servos), neutral=neutral)
         try:
             ended = player.follow(frames)
         except (PuddleError, OSError) as error:

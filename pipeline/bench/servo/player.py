@@ -95,6 +95,7 @@ class Player:
     stop: StopRequest
     clock: Clock = field(default_factory=Clock)
     show: Show = lambda time, sent, lateness: None
+    neutral: Mapping[int, float] | None = None  # pulse at rest of each channel [µs], which may change; the centres
     worst_lateness: float = 0.0
     outcome: str = "never moved"  # how the run left the servos, in words
 
@@ -103,6 +104,7 @@ class Player:
         self._output = LimitedOutput(self.controller, self.servos)
         self._began = self.clock.now()
         self._turn = 0
+        self._neutral = self.neutral or {servo.channel: servo.centre_us for servo in self.servos}
 
     def follow(self, frames: Frames) -> str:
         """Hold neutral, send what each frame asks for, then return the servos to neutral and switch them off.
@@ -130,7 +132,7 @@ class Player:
             if self.stop.count:
                 return
             lateness = self._wait_until(start + frame * _FRAME)
-            self._command({servo.channel: servo.centre_us for servo in self.servos}, lateness=lateness)
+            self._command(self._neutral, lateness=lateness)
         self.controller.check()
 
     def _send_frames(self, frames: Frames) -> str:
@@ -231,8 +233,7 @@ class Player:
     def _return_to_neutral(self, already_asked: int) -> str:
         """Go back at half speed unless the user asks again to stop. Return where the servos are, in words."""
         step = {servo.channel: _RETURN_SPEED * servo.max_rate_us * _FRAME for servo in self.servos}
-        neutral = {servo.channel: servo.centre_us for servo in self.servos}
-        still = 0
+        neutral, still = self._neutral, 0
         while self._output.sent and still * _FRAME < _SETTLING_TIME and self.stop.count <= already_asked:
             sent = self._output.sent
             away = {channel: neutral[channel] - pulse for channel, pulse in sent.items()}
@@ -251,7 +252,10 @@ class Player:
             reported = [(servo, self._position(servo)) for servo in self.servos]
         except ControllerError:
             return False
-        return all(pulse is None or abs(pulse - servo.centre_us) < _NEUTRAL_TOLERANCE_US for servo, pulse in reported)
+        return all(
+            pulse is None or abs(pulse - self._neutral[servo.channel]) < _NEUTRAL_TOLERANCE_US
+            for servo, pulse in reported
+        )
 
     def _short_of_neutral(self) -> str:
         sent = self._output.sent

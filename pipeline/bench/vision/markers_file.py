@@ -111,6 +111,12 @@ class BoardOfMarkers(Parameters):
     first: int = Field(default=30, ge=0)
     """Number of its first tag."""
 
+    @model_validator(mode="after")
+    def _tags_fit(self) -> Self:
+        if self.marker >= self.square:
+            raise ValueError(f"marker is {self.marker:g} m, expected less than square, {self.square:g} m")
+        return self
+
     @property
     def n_tags(self) -> int:
         """Number of its tags, one in every white square."""

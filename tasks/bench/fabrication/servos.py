@@ -180,4 +180,10 @@ def as_measured(name: str, kind: HornKind, measured: Mapping[str, float]) -> Ser
             )
     horn_changes: dict[str, Any] = {key: value for key, value in measured.items() if key in of_horn}
     case_changes: dict[str, Any] = {key: value for key, value in measured.items() if key not in of_horn}
-    return replace(servo, horns=(replace(horn, **horn_changes),), **case_changes)
+    measured_servo = replace(servo, horns=(replace(horn, **horn_changes),), **case_changes)
+    along = ("length_mm", "hole_span_mm", "ear_length_mm")
+    sizes = [getattr(measured_servo, key) for key in along]
+    if not sizes[0] < sizes[1] < sizes[2]:
+        said = " < ".join(along)
+        raise KitError(f"servo {name}: expected {said}, got {', '.join(f'{size:g}' for size in sizes)} mm")
+    return measured_servo

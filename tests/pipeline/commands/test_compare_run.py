@@ -133,16 +133,33 @@ def interval(said):
 
 
 def test_the_ensemble_of_a_study_predicts_the_run(run, recorded, tmp_path, capsys):
-    """For a rollout, as what a kit records of its own: with the study's physics, in the depth of the kit."""
+    """For a rollout, as what a kit records of its own: with the physics and in the depth of the kit."""
     code, said, _ = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
     assert code == 0 and "the ensemble of study tiny says" in said.splitlines()[-1]
     study = open_study("tiny", recorded)
-    design, rollout = read_kit(run[0] / "kit").design, study.settings.rollout
-    steps = {"n_settle": rollout.n_settle, "n_measure": rollout.n_measure, "physics": study.settings.physics}
-    found = simulate(design, ResidualSlush(depth=2.0, ensemble=study.ensemble()), **steps).displacement
+    kit, rollout = read_kit(run[0] / "kit"), study.settings.rollout
+    steps = {"n_settle": rollout.n_settle, "n_measure": rollout.n_measure, "physics": kit.physics}
+    found = simulate(kit.design, ResidualSlush(depth=2.0, ensemble=study.ensemble()), **steps).displacement
     seconds = rollout.n_measure * study.settings.physics.time_step * TIME
     expected = [1000 * 0.07 * (found.mean() + k * found.std()) / seconds for k in (-2, 2)]
     assert interval(said) == pytest.approx(expected, abs=0.051)
+
+
+def test_the_kit_of_a_study_has_the_prediction_of_its_own_trial(run, recorded, tmp_path, capsys):
+    kit = predicting(run, tmp_path, 0.02, 0.003)
+    document = json.loads((kit / "kit.json").read_text())
+    (kit / "kit.json").write_text(json.dumps(document | {"name": "tiny-trial-1"}))
+    alone, with_study = (
+        compared(run, tmp_path, capsys, *options, kit=kit)[:2]
+        for options in ((), ("--study", "tiny", "--store", recorded))
+    )
+    assert alone == with_study and interval(alone[1]) == pytest.approx([14.0, 26.0], abs=0.1)
+
+
+@pytest.mark.parametrize("option", [("--slowdown", 8), ("--lens", "board.mp4"), ("--markers", "markers.yaml")])
+def test_options_of_a_video_are_refused_for_tracks(run, option, tmp_path, capsys):
+    code, said, _ = compared(run, tmp_path, capsys, *option)
+    assert code == 2 and "are for a video, not for tracks" in said
 
 
 HEAD = "throw,time,x,y,angle\n"

@@ -44,6 +44,19 @@ def at_bounds(rng: np.random.Generator, n_designs: int) -> Designs:
     return canonical(replace(designs, **pushed))
 
 
+@pytest.mark.parametrize("parts", [(), ("controller",), ("Body", "control")])
+def test_parts_that_do_not_exist_are_refused(parts):
+    with pytest.raises(ValueError, match="parts: expected body, control or both, got"):
+        mutate(random_designs(2, np.random.default_rng(0)), np.random.default_rng(1), parts=parts)
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_a_body_is_that_of_one_design(n):
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match=f"body: expected one design, got {n}"):
+        random_designs(2, rng, body=random_designs(4, rng)[:n])
+
+
 @pytest.mark.parametrize("parts", [("body", "control"), ("control",)])
 @given(seed=seeds, n_designs=sizes, mutation=mutations, edge=st.booleans())
 def test_mutants_are_valid_and_differ(seed: int, n_designs: int, mutation: Mutation, edge: bool, parts) -> None:

@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from pipeline.bench.fabrication.bench import bench_of, check_floating, check_loads
-from pipeline.bench.fabrication.source import DesignSource
+from pipeline.bench.fabrication.source import DesignSource, as_built
 from tasks.bench.fabrication.kit import Floating, floating_of
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.bench.fabrication.scaling import JointLoad
@@ -54,10 +54,19 @@ def test_floating(draught, sealed, flooded, said):
     assert len(messages) == (said is not None) and all(said in message for message in messages)
 
 
+def test_an_engine_without_torques_is_no_fault_of_the_robot(crane, kit, settings):
+    pytest.importorskip("mujoco", reason="mujoco is not installed")
+    changes = {"target": "mujoco_fluid", "rollout": settings.rollout.model_copy(update={"n_settle": 5, "n_measure": 5})}
+    source = DesignSource(crane, "crane", "", settings.model_copy(update=changes), 1.0, None)
+    bench = bench_of(source, kit, FabricationSettings(), as_built(settings.physics))
+    (finding,) = (finding for finding in bench.findings if finding.where == "joints")
+    assert (finding.severity, bench.simulated) == ("warning", None) and "reports no torques" in finding.message
+
+
 def test_the_run_and_the_floating_of_a_kit(crane, kit, settings):
     one_period = settings.rollout.model_copy(update={"n_settle": 60, "n_measure": 300})
     source = DesignSource(crane, "crane", "", settings.model_copy(update={"rollout": one_period}), 1.0, None)
-    physics = settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
+    physics = as_built(settings.physics)
     run = bench_of(source, kit, FabricationSettings(), physics).simulated
     turned = np.cumsum(run.speed, axis=0) * physics.time_step  # of children on their parents
     assert np.ptp(turned, axis=0) == pytest.approx(2 * crane.motion_range[0, [2, 4]], rel=0.05)

@@ -75,6 +75,8 @@ def test_printed_tags_have_the_size_that_the_markers_file_says(kit, sheet):
     ("options", "message"),
     [
         (("docs/design.json",), "expected no design, --study or --preset"),
+        (("--set", "throwing.waterline=0.3"), "throwing: "),
+        (("--set", "throwing.lengths=[1,1.2,1.4,1.6,1.8,2,2.2,2.4,2.6]"), "throwing: tag 20 is on two things"),
         (("--set", "kit.rod_mm=6"), "bar-70: too heavy at any infill"),
         (("--set", "kit.scale_mm_per_m=200", "--set", "kit.rod_mm=10"), "does not fit on A4"),
     ],

@@ -112,13 +112,26 @@ def test_values_that_cannot_be_true_are_asked_again(kit, clock):
     assert (servo.min_us, servo.centre_us, servo.max_us, servo.direction) == (1450.0, 1500.0, 1650.0, -1)
 
 
-@pytest.mark.parametrize("typed", ["+40|", "+40||100|"])
-def test_an_input_that_ends_leaves_the_calibration_and_the_servos_off(kit, plug, clock, calibration, typed):
+@pytest.mark.parametrize(("typed", "rest"), [("+40|", 1500.0), ("+40||100|", 1540.0)])
+def test_an_input_that_ends_leaves_the_calibration_and_the_servos_off(kit, plug, clock, calibration, typed, rest):
+    """At what was at rest before, which may be beyond what the servo touches, only until the rest is measured."""
     fake = plug()
     with pytest.raises(PuddleError, match=r"the input ended.*\n?.*Servos: switched off at neutral"):
         measured(kit, User(typed.rstrip("|"), True), clock, port=fake.path)
     fake.finish()
-    assert not fake.on and fake.pulses(0)[-2:] == [1500.0, 0.0]
+    assert not fake.on and fake.pulses(0)[-2:] == [rest, 0.0]
+    assert load(Calibration, kit / "calibration.yaml") == calibration
+
+
+def test_no_servo_moves_without_being_announced(kit, plug, clock, calibration):
+    fake, user = plug(), User(JOINT_2, True, False)
+    assert not measured(kit, user, clock, port=fake.path)
+    fake.finish()
+    assert user.questions == [
+        "Move the servos?",
+        f"Move the servo of joint 4 on channel {calibration.servos[1].channel}?",
+    ]
+    assert {channel for channel, _ in fake.targets} == {0}
     assert load(Calibration, kit / "calibration.yaml") == calibration
 
 

@@ -1,10 +1,12 @@
 """The Maestro protocol against the user's guide, and failing ports, on a pty with pyserial."""
 
+import termios
+
 import pytest
 
 from pipeline.bench.servo import maestro
 from pipeline.bench.servo.maestro import open_maestro
-from pipeline.bench.servo.servo_controller import ControllerError
+from pipeline.bench.servo.servo_controller import ControllerError, PortLostError
 from pipeline.errors import PuddleError
 
 
@@ -52,6 +54,17 @@ def test_invalid_answers(plug, answer, timeout, said):
     fake.answer = lambda honest: answer
     with pytest.raises(ControllerError, match=said):
         opened(fake, timeout=timeout).prepare({})
+
+
+def test_a_port_that_is_gone_when_its_buffer_is_emptied(plug, monkeypatch):
+    controller = opened(plug())
+
+    def gone() -> None:
+        raise termios.error(5, "Input/output error")
+
+    monkeypatch.setattr(controller._port, "reset_input_buffer", gone)
+    with pytest.raises(PortLostError, match="lost the port while sending"):
+        controller.prepare({0: 100.0})
 
 
 def test_unexpected_bytes_are_not_taken_for_an_answer(plug):

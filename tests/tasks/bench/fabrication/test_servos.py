@@ -24,6 +24,7 @@ def test_measurements_replace_the_library():
     for name, measured, said in (
         ("sg5010", {}, r"'sg5010' is unknown, expected one of ds3225, hs85mg, mg90s, pdi6221mg"),
         ("ds3225", {"length_mm": 401}, r"length_mm is 401, expected 20 to 80 mm"),
+        ("ds3225", {"hole_span_mm": 30}, "expected length_mm < hole_span_mm < ear_length_mm, got 40, 30"),
         ("ds3225", {"top_mm": 0}, r"top_mm is 0, expected 3\.75 to 15 mm"),
     ):
         with pytest.raises(KitError, match=said):
