@@ -98,10 +98,8 @@ def depths() -> None:
     figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), sharey=True, layout="constrained")
     for panel, (score, title) in zip(panels, SCORES.items(), strict=True):
         for number, (name, (label, colour, marker)) in enumerate(ARMS.items()):
-            samples = [
-                champions_of(studies_at(depth, study, learned, row, redrawn=redrawn)[name], name, score, depth)
-                for depth in deep
-            ]
+            sides = [studies_at(depth, study, learned, row, redrawn=redrawn).get(name, study) for depth in deep]
+            samples = [champions_of(side, name, score, depth) for side, depth in zip(sides, deep, strict=True)]
             means = [sum_of_means(one) for one in samples]
             value = np.array([mean.value for mean in means])
             low, high = np.array([mean.interval or (np.nan, np.nan) for mean in means]).T

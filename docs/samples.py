@@ -94,8 +94,8 @@ def studies_at(depth: float, *studies: Results, redrawn: Results) -> dict[str, R
     """Return for each arm at a depth the study with the most data sets, or draws around the true slush."""
     around = [one for one in redrawn["studies"] if one["variant"].startswith("around")]
     having = {
-        name: [one for one in (*studies, *around) if len(champions_of(one, name, "zero_shot", depth))]
-        for name in ("true_slush", "dry_land", "residual_slush", "randomised_slush", "designed_throws")
+        name: [one for one in (*around, *studies) if len(champions_of(one, name, "zero_shot", depth))]
+        for name in ("dry_land", "residual_slush", "randomised_slush", "designed_throws")
     }
     return {name: max(those, key=lambda one: int(one["n_replicates"])) for name, those in having.items()}
 
@@ -148,9 +148,9 @@ def truths(kicks: Results, curves: Results, rounds: Results | None = None) -> It
 
 def with_conditions(study: Results, robust: Results) -> Results:
     """Add what each champion travels in other conditions, where it was measured; its displacement tells who it is."""
-    measured = {(row["environment"], row["depth"], round(row["one"], 2)): row for row in robust["champions"]}
+    measured = {(row["environment"], row["depth"], round(row["one"], 4)): row for row in robust["champions"]}
     champions = [
-        {**measured.get((row["environment"], row["depth"], round(row["zero_shot"], 2)), {}), **row}
+        {**measured.get((row["environment"], row["depth"], round(row["zero_shot"], 4)), {}), **row}
         for row in study["champions"]
     ]
     return {**study, "champions": champions}

@@ -146,9 +146,9 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
 def depths(study: Results, learned: Results, row: Results, redrawn: Results) -> Iterable[tuple[Any, ...]]:
     """Tabulate the zero-shot shares of *E* at all depths, by the studies with the most data sets and draws of each."""
     for depth in sorted({row["depth"] for row in study["champions"]}):
-        (_, best), *sides = studies_at(depth, study, learned, row, redrawn=redrawn).items()
-        shares = (share_of_best(side, name, "zero_shot", depth, best_of=best) for name, side in sides)
-        yield depth, fmean(champions_of(best, "true_slush", "zero_shot", depth).values), *shares
+        sides = studies_at(depth, study, learned, row, redrawn=redrawn).items()
+        shares = (share_of_best(side, name, "zero_shot", depth, best_of=study) for name, side in sides)
+        yield depth, fmean(champions_of(study, "true_slush", "zero_shot", depth).values), *shares
 
 
 @table(
@@ -166,10 +166,10 @@ def robustness(
 ) -> Iterable[tuple[Any, ...]]:
     """Tabulate what *E* travels in other conditions at all depths, and the shares of two arms with shorter steps."""
     columns = ("one", "starts", "half_steps", "quarter_steps", "continuous")
+    best = with_conditions(study, robust)
     for depth in sorted({row["depth"] for row in study["champions"]}):
         found = studies_at(depth, study, learned, row, redrawn=redrawn)
         sides = {name: with_conditions(side, robust) for name, side in found.items()}
-        best = sides["true_slush"]
         shares = (
             share_of_best(sides[name], name, "quarter_steps", depth, best_of=best)
             for name in ("randomised_slush", "designed_throws")
