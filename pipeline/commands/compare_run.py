@@ -55,8 +55,9 @@ def compare_run(
 ) -> None:
     """Compare a built robot's run with what was predicted.
 
-    How far and how fast it went, and its gait, stand on the terminal and on a page. The prediction is that of a study's
-    ensemble (--study), or what the kit records; its interval is two standard deviations of the members to either side.
+    How far and how fast it went, and its gait, stand on the terminal and on a page. The prediction is what the
+    kit records, or that of another study's ensemble (--study); its interval is two standard deviations of the members
+    to either side.
     """
     output_suffix(out, (".html",))
     recorded = None if study is None else open_study(study, store, say=to_stderr)
