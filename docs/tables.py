@@ -50,6 +50,7 @@ MAKERS = (  # of the robots in the table of engines; robustness.json has others,
     "3,400 designed throws",
     "domain randomisation",
 )
+ROBUST = ", robust"  # ends the name of those that evolved for robust_displacement
 
 Tabulate = Callable[..., Iterable[tuple[Any, ...]]]
 TABLES: dict[str, tuple[type, Tabulate]] = {}
@@ -338,15 +339,18 @@ def engines(robust: Results) -> Iterable[tuple[Any, ...]]:
     columns = ("one", "added_late", "quarter_steps", "mujoco")
     groups: dict[tuple[float, str], list[Mapping[str, float]]] = {}
     for row in robust["champions"]:
-        if "mujoco" in row and row["made_by"] in MAKERS:
+        if "mujoco" in row and row["made_by"].removesuffix(ROBUST) in MAKERS:
             groups.setdefault((row["depth"], row["made_by"]), []).append(row)
 
     def scores(depth: float, makers: str) -> dict[str, Sample]:
         rows = {name: np.array([row[name] for row in groups[depth, makers]]) for name in (*columns, "data_set")}
         return {name: sample_of(rows[name], rows["data_set"]) for name in columns}
 
-    for depth, makers in sorted(groups, key=lambda group: (-group[0], MAKERS.index(group[1]))):
-        of, best = scores(depth, makers), scores(depth, "True Slush")
+    def order(group: tuple[float, str]) -> tuple[float, bool, int]:
+        return -group[0], group[1].endswith(ROBUST), MAKERS.index(group[1].removesuffix(ROBUST))
+
+    for depth, makers in sorted(groups, key=order):
+        of, best = scores(depth, makers), scores(depth, f"True Slush{ROBUST if makers.endswith(ROBUST) else ''}")
         shares = (share_of(of[name], best[name]) for name in columns[2:])
         alike = np.count_nonzero(abs(of["mujoco"].values / of["quarter_steps"].values - 1) <= 0.15)
         yield depth, makers, *(of[name].values.mean() for name in columns), *shares, f"{alike} of {len(of['one'])}"
