@@ -23,6 +23,7 @@ from tasks.simulation.mjcf import LONGEST_STEP, free_links_mjcf, mjcf
 from tasks.world import Environment, LinkStates, Physics
 from tasks.world.medium import MediumInRollout
 from tasks.world.mujoco_fluid import MujocoFluid
+from tasks.world.residual_slush import at_time_step
 from tasks.world.slush import submerged_part
 
 _LACKS = {"restitution": 0.0, "max_motor_speed": None, "continuous_collision": False}
@@ -159,7 +160,7 @@ def roll_out(
     """Return the motion of designs in an environment; the arguments are those of tasks.simulation.rollout.simulate."""
     mujoco, shorter = _imported(physics), _shorter(physics)
     physics = shorter.of_physics(physics)
-    environment = environment.at_time_step(physics.time_step)
+    environment = at_time_step(environment, physics.time_step)
     medium = MediumInRollout(environment.medium, environment.depth) if environment.medium else None
     fluid = environment.medium if isinstance(environment.medium, MujocoFluid) else None
     shape = environment.n_members, *designs.parent.shape

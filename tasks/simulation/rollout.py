@@ -16,6 +16,7 @@ from tasks.design.genes import Designs, check
 from tasks.simulation.box2d import Column, Motion
 from tasks.simulation.engine import EngineName, engine_in, engine_named
 from tasks.world import Environment, Medium, Physics, as_environment
+from tasks.world.residual_slush import at_time_step
 
 OK, DIVERGED = "ok", "diverged"
 
@@ -92,7 +93,7 @@ def simulate(
         if not isinstance(given, kind):
             raise TypeError(f"{argument}: expected {kind.__name__}, got {type(given).__name__}")
     check(designs)
-    environment = environment.at_time_step(physics.time_step)
+    environment = at_time_step(environment, physics.time_step)
     for name, value, least in (("n_settle", n_settle, 0), ("n_measure", n_measure, 1)):
         if not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name} is {value!r}, expected at least {least}, a whole number")

@@ -33,10 +33,6 @@ class Environment:
         """Number of ensemble members, 1 without an ensemble."""
         return getattr(self.medium, "n_members", 1) if self.is_ensemble else 1
 
-    def at_time_step(self, time_step: float) -> Environment:  # noqa: ARG002 (networks need it)
-        """Return the environment for time steps of a length [s]: itself, unless it is of networks."""
-        return self
-
 
 @dataclass(frozen=True)
 class Pool(Environment):

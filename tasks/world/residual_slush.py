@@ -20,10 +20,6 @@ class ResidualSlush(Environment):
 
     ensemble: EnsembleMedium
 
-    def at_time_step(self, time_step: float) -> Environment:
-        """Return the environment whose networks change a step of another length [s] in proportion."""
-        return _at_time_step(self, time_step)
-
     @property
     def medium(self) -> EnsembleMedium:
         """Ensemble."""
@@ -36,19 +32,18 @@ class MeanResidual(Environment):
 
     ensemble: Networks
 
-    def at_time_step(self, time_step: float) -> Environment:
-        """Return the environment whose networks change a step of another length [s] in proportion."""
-        return _at_time_step(self, time_step)
-
     @cached_property
     def medium(self) -> Medium:
         """Mean of the ensemble."""
         return self.ensemble.mean()
 
 
-def _at_time_step(environment: ResidualSlush | MeanResidual, time_step: float) -> Environment:
-    at_time_step = getattr(environment.ensemble, "at_time_step", None)  # a user's own ensemble has none
-    ensemble: Any = at_time_step(time_step) if at_time_step else environment.ensemble
+def at_time_step(environment: Environment, time_step: float) -> Environment:
+    """Return an environment for time steps of a length [s]: itself, unless its networks learned of another length."""
+    if not isinstance(environment, ResidualSlush | MeanResidual):
+        return environment
+    follow = getattr(environment.ensemble, "at_time_step", None)  # a user's own ensemble has none
+    ensemble: Any = follow(time_step) if follow else environment.ensemble
     return environment if ensemble is environment.ensemble else replace(environment, ensemble=ensemble)
 
 

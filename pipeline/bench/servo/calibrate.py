@@ -58,8 +58,8 @@ def calibrate(
             of_servo = log_path if number == 1 else log_path.with_stem(f"{log_path.stem}-{number}")
             neutral = {servo.channel: servo.centre_us}
             frames, moved = _measurement(servo, user, measured, neutral), [servo.model_copy(update=free)]
-            again = number == 1 or connection.dry_run
-            if not (again or user.confirm(f"Move the servo of joint {servo.joint} on channel {servo.channel}?")):
+            asked = number == 1 or connection.dry_run
+            if not (asked or user.confirm(f"Move the servo of joint {servo.joint} on channel {servo.channel}?")):
                 user.say(f"{path} is unchanged.")
                 return False
             if not run(controller, moved, frames, of_servo, user, clock or Clock(), show=_nothing, neutral=neutral):

@@ -10,6 +10,7 @@ from tasks.residual.ensemble import Ensemble
 from tasks.residual.forms import form_named
 from tasks.simulation import Conditions, simulate
 from tasks.world import ENVIRONMENTS, DryLand, LinkStates, MeanResidual, Physics, Pool, ResidualSlush, TrueSlush
+from tasks.world.residual_slush import at_time_step
 
 KICKS = ("kick_vx", "kick_vy", "kick_omega")
 
@@ -43,16 +44,16 @@ def ensemble():
 
 def test_networks_change_a_shorter_step_in_proportion(ensemble):
     home = ResidualSlush(depth=3.0, ensemble=ensemble)
-    finer = Conditions(depth=1.0).of_environment(home).at_time_step(1 / 240)
+    finer = at_time_step(Conditions(depth=1.0).of_environment(home), 1 / 240)
     links = LinkStates(*np.random.default_rng(6).normal(size=(9, 2, 3, 6)).astype(np.float32))
     whole, part = (at.medium.velocity_change(links, Physics()) for at in (home, finer))
     assert finer.depth == 1.0 and np.abs(whole.omega).max() > 0
     for name in ("vx", "vy", "omega"):
         np.testing.assert_allclose(getattr(part, name), getattr(whole, name) / 4, rtol=1e-6)
-    assert Conditions().of_environment(home) is home and home.at_time_step(1 / 60) is home
+    assert Conditions().of_environment(home) is home and at_time_step(home, 1 / 60) is home
     mean = MeanResidual(3.0, ensemble)
     alone = LinkStates(*(array[:1] for array in vars(links).values()))
-    whole, part = (at.medium.velocity_change(alone, Physics()) for at in (mean, mean.at_time_step(1 / 240)))
+    whole, part = (at.medium.velocity_change(alone, Physics()) for at in (mean, at_time_step(mean, 1 / 240)))
     np.testing.assert_allclose(part.vx, whole.vx / 4, rtol=1e-5)
 
 
@@ -64,7 +65,7 @@ def test_added_mass_takes_back_the_same_share_of_a_kick_in_shorter_steps():
     states = rng.uniform(0.2, 0.9, size=(9, 1, 3, 6)).astype(np.float32)
     states[3] = -2.0  # y: under water
     taken = []
-    for at in (whole, whole.at_time_step(1 / 240)):
+    for at in (whole, at_time_step(whole, 1 / 240)):
         kicked, unkicked = (
             at.medium.velocity_change(LinkStates(*states, **dict.fromkeys(KICKS, kick * states[0])), Physics())
             for kick in (0.3, 0.0)
@@ -85,7 +86,7 @@ def test_a_fitted_law_knows_the_time_step(name):
     )
     links = LinkStates(*np.abs(np.random.default_rng(6).normal(size=(9, 1, 3, 6))).astype(np.float32))
     finer, learned = Physics(time_step=1 / 240), ResidualSlush(depth=3.0, ensemble=law)
-    found, expected = (of.velocity_change(links, finer) for of in (learned.at_time_step(1 / 240).medium, fluid))
+    found, expected = (of.velocity_change(links, finer) for of in (at_time_step(learned, 1 / 240).medium, fluid))
     for part in ("vx", "vy", "omega"):
         np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=1e-5, atol=1e-9)
     designs, steps = random_designs(4, np.random.default_rng(3)), {"n_settle": 0, "n_measure": 60}
@@ -98,7 +99,7 @@ def test_a_fitted_law_knows_the_time_step(name):
 
 
 def test_a_medium_knows_the_time_step_itself():
-    assert TrueSlush(depth=3.0).at_time_step(1 / 240) == TrueSlush(depth=3.0)
+    assert at_time_step(TrueSlush(depth=3.0), 1 / 240) == TrueSlush(depth=3.0)
     assert Conditions(n_substeps=4).of_physics(Physics()) == Physics(time_step=1 / 240)
 
 
