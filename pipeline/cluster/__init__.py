@@ -8,18 +8,6 @@ results.
 from pipeline.cluster.inference import connect
 from pipeline.cluster.interface import Cluster, Done, Outcome, TaskFailed, Ticket
 from pipeline.cluster.on_ray import Spread, ray_cluster
-from pipeline.cluster.process import prepare_process
 from pipeline.cluster.serial import serial_cluster
 
-__all__ = [
-    "Cluster",
-    "Done",
-    "Outcome",
-    "Spread",
-    "TaskFailed",
-    "Ticket",
-    "connect",
-    "prepare_process",
-    "ray_cluster",
-    "serial_cluster",
-]
+__all__ = ["Cluster", "Done", "Outcome", "Spread", "TaskFailed", "Ticket", "connect", "ray_cluster", "serial_cluster"]

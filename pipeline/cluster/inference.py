@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tasks.arrays import Float32
     from tasks.residual.served_ensemble import Layers, Predict, ServedEnsemble
 
-_FOLDER = "/dev/shm"  # of files in memory
+_FOLDER = "/dev/shm" if Path("/dev/shm").is_dir() else None  # of files in memory, where there is one
 _N_CONNECTIONS = 4  # of a worker; if there are more, the first is closed
 _SECONDS_BETWEEN_CHECKS = 1.0  # of a worker that waits, whether the service is there [s]
 _N_ATTEMPTS, _SECONDS_BETWEEN_ATTEMPTS = 10, 0.5  # to find a service, after the death of one

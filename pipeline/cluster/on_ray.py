@@ -43,7 +43,6 @@ _ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # a cancelled call's error is never collected
     "RAY_task_oom_retries": str(_N_INFRASTRUCTURE_RETRIES),  # unlimited by default
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # Ray's future default; without it Ray prints a warning
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",  # under `uv run`, Ray would build the environment anew for each worker
 }
 LOCAL_ENVIRONMENT = _ENVIRONMENT | {

@@ -108,7 +108,7 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
         received.append(number)
         raise SystemExit
 
-    with _handled(numbers, unwind) as catch:
+    with handled(numbers, unwind) as catch:
         try:
             yield catch
         except SystemExit as stop:
@@ -118,7 +118,7 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
 
 
 @contextlib.contextmanager
-def _handled(numbers: Sequence[int], handle: Callable[[int, FrameType | None], None]) -> Iterator[Callable[[], None]]:
+def handled(numbers: Sequence[int], handle: Callable[[int, FrameType | None], None]) -> Iterator[Callable[[], None]]:
     """Handle signals, except ignored ones, within a block; yield a function that installs the handler again."""
     before = {number: signal.getsignal(number) for number in numbers}
 
@@ -142,7 +142,7 @@ def ended_by_signals(message: str) -> Iterator[None]:
         end_at_once(message, 128 + number)
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    with _handled(numbers if threading.current_thread() is threading.main_thread() else (), end):
+    with handled(numbers if threading.current_thread() is threading.main_thread() else (), end):
         yield
 
 

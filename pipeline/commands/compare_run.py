@@ -34,7 +34,7 @@ from pipeline.stages.environments import environment_of
 from pipeline.store import disk
 from pipeline.store.design_file import load_design
 from pipeline.store.encoding import decode_document
-from pipeline.store.track_file import content_of, read_track_table
+from pipeline.store.track_file import read_track_table
 from tasks.analysis.built_run import BuiltRobot, LinkPath, RunError, RunRow, compare_with_simulation
 from tasks.bench.fabrication.kit_settings import FabricationSettings
 from tasks.residual import arm_kind
@@ -137,7 +137,7 @@ def _tracked(video: Path, markers: Path | None, options: TrackOptions) -> tuple[
 
 
 def _read_tracks(path: Path, n_links: int) -> dict[int, LinkPath]:
-    rows, _ = read_track_table(content_of(path), str(path))
+    rows, _ = read_track_table(path.read_bytes(), str(path))
     table = np.column_stack((rows.time, rows.x, rows.y, rows.angle))
     if not np.isfinite(table).all():
         raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")

@@ -14,8 +14,8 @@ from pipeline.commands.time_model import forecast_stages
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.mlflow.mirror import Tracker
-from pipeline.report.page import scale_words
 from pipeline.report.render import as_text
+from pipeline.report.study_page import scale_words
 from pipeline.stages import STAGES, environments
 from pipeline.stages.collect import COLLECT
 from pipeline.stages.reader import read_study

@@ -21,7 +21,7 @@ from tasks.arrays import Float64
 _DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
 """Opacity grows with the number of designs."""
 _N_BINS = 48
-_COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")  # of projectiles, from short to long
+_GREY = "#8b93a1"  # of paths
 _VIEW = 20.0  # distance shown to either side of the start of a throw [m]
 _MOST_SIZES = 3  # panels of sizes
 
@@ -30,8 +30,8 @@ _MOST_SIZES = 3  # panels of sizes
     "Prediction accuracy",
     section="networks",
     caption="Displacement in {target} against the ensemble’s mean prediction, for designs of whole runs. Darker cells "
-    "hold more of them. A slope m below 1 means that the networks overestimate how far robots get; the dotted line is "
-    "for μ − σ.",
+    "hold more of them. A slope m below 1 means that the networks overestimate how much robots differ; the dotted line "
+    "is for μ − σ.",
 )
 def prediction_accuracy(page: StudyPage) -> Figure:
     """Draw a 2-D histogram with regression and ideal lines for the mean of each ensemble.
@@ -84,7 +84,8 @@ def _two_digits(estimate: Estimate) -> str:
 @page_figure(
     "The throws",
     section="networks",
-    caption="Paths of the thrown links, by size. The blue line is the surface. Of one throw, the link is drawn.",
+    caption="Paths of the links thrown for {main}, by size. The blue line is the surface. Of one "
+    "throw, the link is drawn.",
 )
 def data_set(page: StudyPage) -> Figure:
     """Draw a panel for each size of projectile: the paths of all throws, and the poses along one of them."""
@@ -102,7 +103,7 @@ def data_set(page: StudyPage) -> Figure:
     panels = figure.subplots(len(thrown), 1, sharex=True, sharey=True, squeeze=False).ravel()
     for panel, number in zip(panels, thrown, strict=True):
         chosen = panel_of == number
-        _draw_throws(panel, throws.path[chosen], throws.length_scale[chosen][0], _COLORS[number])
+        _draw_throws(panel, throws.path[chosen], throws.length_scale[chosen][0])
         panel.axhline(0, color=LOOKS["true_slush"].color, lw=1.2)
         panel.set_title(f"{titles[number]}, {chosen.sum():,} throws")
         panel.set(aspect="equal", xlim=(-_VIEW, _VIEW), ylim=(-6, 0.6 * _VIEW), ylabel="y [m]")
@@ -110,11 +111,11 @@ def data_set(page: StudyPage) -> Figure:
     return figure
 
 
-def _draw_throws(panel: Axes, paths: Float64, length: Float64, color: str) -> None:
+def _draw_throws(panel: Axes, paths: Float64, length: Float64) -> None:
     """Draw (n_throws, n_steps, 3) paths, and the poses of a link along one of them."""
     xy = paths[:, sampled(paths.shape[1], 40), :2]
     gap = np.full((len(xy), 1, 2), np.nan)  # lifts the pen between throws
-    panel.plot(*np.concatenate((xy, gap), axis=1).reshape(-1, 2).T, color=color, lw=0.6, alpha=0.5)
+    panel.plot(*np.concatenate((xy, gap), axis=1).reshape(-1, 2).T, color=_GREY, lw=0.6, alpha=0.5)
     # The throw drawn with its poses is the longest path among those that stay in view.
     travelled = np.nansum(np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2), axis=1)
     travelled[(np.abs(paths[:, :, :2]) > 0.6 * _VIEW).any(axis=(1, 2))] *= 1e-3

@@ -12,15 +12,13 @@ from typing import Any
 import yaml
 from markupsafe import Markup
 
-from pipeline.config.settings import Settings
 from pipeline.report import network_figures, transfer_figures  # noqa: F401 (they register their figures)
 from pipeline.report.document import TEMPLATES, document
 from pipeline.report.drawing import Drawing, NothingToDraw, finish
 from pipeline.report.palette import arms_css
 from pipeline.report.render import as_html, typeset
 from pipeline.report.replay import Replay, encode
-from pipeline.report.study_page import FIGURES, StudyPage
-from tasks.analysis import paper
+from pipeline.report.study_page import FIGURES, StudyPage, scale_words
 from tasks.analysis.columns import OfTrial, percent, scored_by
 from tasks.analysis.registry import Analysis
 from tasks.analysis.tables import ANALYSES
@@ -94,18 +92,6 @@ def _shown(analysis: Analysis, rows: Sequence[Any]) -> list[tuple[float | None, 
 def robot_address(environment: str, depth: float, trial: int) -> str:
     """Return the address of a champion on the page, which is the name of its design file, too."""
     return f"robot-{environment}-{depth:g}m-trial-{trial}".replace(".", "_")  # file names hold a single dot
-
-
-def scale_words(settings: Settings) -> str:
-    """Say how the study's scale of evolution compares with the paper's, if both are known."""
-    n_designs = settings.evolution.population_size
-    if n_designs is None or not settings.has_papers_target:
-        return ""
-    share = paper.N_EVALUATED / (settings.evolution.n_generations * n_designs)
-    if share < 1.5:
-        return ""
-    advice = "compare shares, not metres" if share < 500 else "the figures mean nothing"
-    return f"1/{share:,.0f} of the paper’s evolution: {advice}"
 
 
 def heroes(replays: Sequence[Replay]) -> list[tuple[int, Replay]]:

@@ -16,7 +16,9 @@ from matplotlib.figure import Figure
 from pipeline.config.settings import Settings
 from pipeline.report.palette import Look, looks_of
 from pipeline.report.replay import Replay
+from tasks.analysis import paper
 from tasks.analysis.study import Assessed
+from tasks.analysis.tables.regressions import ensemble_name
 from tasks.arrays import Float64
 
 Curves = Mapping[tuple[str, float], Sequence[Float64]]
@@ -70,6 +72,18 @@ class StudyPage:
         return self.tables.get(name, ())
 
 
+def scale_words(settings: Settings) -> str:
+    """Say how the study's scale of evolution compares with the paper's, if both are known."""
+    n_designs = settings.evolution.population_size
+    if n_designs is None or not settings.has_papers_target:
+        return ""
+    share = paper.N_EVALUATED / (settings.evolution.n_generations * n_designs)
+    if share < 1.5:
+        return ""
+    advice = "compare shares, not metres" if share < 500 else "the figures mean nothing"
+    return f"1/{share:,.0f} of the paper’s evolution: {advice}"
+
+
 Draw = Callable[[StudyPage], Figure]
 
 
@@ -79,13 +93,14 @@ class PageFigure:
 
     title: str
     section: str  # of the page
-    caption: str  # may name the {target} and the {score}
+    caption: str  # may name the {target}, the {score} and the {main} ensemble
     draw: Draw
 
     def drawn(self, page: StudyPage) -> tuple[Figure, str]:
         """Draw it for a study, and complete its caption."""
-        score = page.settings.evolution.maximised.label
-        return self.draw(page), self.caption.format(target=page.target, score=score)
+        score, ensembles = page.settings.evolution.maximised.label, page.settings.ensembles
+        thrown = ensemble_name(next(iter(ensembles)), page.settings.arm_learners) if ensembles else ""
+        return self.draw(page), self.caption.format(target=page.target, score=score, main=thrown)
 
 
 FIGURES: dict[str, PageFigure] = {}

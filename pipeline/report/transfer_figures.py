@@ -18,7 +18,7 @@ from pipeline.report.drawing import (
     sampled,
     show_at_least,
 )
-from pipeline.report.study_page import StudyPage, page_figure
+from pipeline.report.study_page import StudyPage, page_figure, scale_words
 from tasks.analysis.scores import by_arm
 from tasks.evolution.map_elites import MEASURES, MapElites
 
@@ -43,6 +43,7 @@ def transfer_at_depth(page: StudyPage) -> Figure:
     deepest = [row for row in tested if row.depth == depth]
     figure = Figure(figsize=(FIGURE_WIDTH, 4.1), layout="constrained")
     axes, looks, trials = figure.add_subplot(), page.looks, by_arm(page.rows("scores"))
+    small = bool(scale_words(page.settings))  # metres are not comparable with the paper's then
     ticks: dict[str, float] = {}
     x = 0.0
     for row in deepest:
@@ -58,8 +59,8 @@ def transfer_at_depth(page: StudyPage) -> Figure:
             axes.errorbar(x, mean.value, mean.sd or 0.0, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
             spread = np.linspace(-0.2, 0.2, len(scores)) if len(scores) > 1 else np.zeros(1)
             axes.plot(x + spread, scores, look.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
-            if stated is not None:
-                axes.plot([x + 0.34, x + 0.56], [stated] * 2, color=PAPER_MARK, lw=2.5)
+            if stated is not None and not small:
+                axes.plot([x - 0.31, x + 0.31], [stated] * 2, color=PAPER_MARK, lw=2.5)
             x += 1.0
         ticks[look.label.replace(" ", "\n")] = (first + x - 1.0) / 2
         x += 0.45
@@ -73,7 +74,7 @@ def transfer_at_depth(page: StudyPage) -> Figure:
         Patch(facecolor=FAINT, edgecolor=INK, lw=0.8, label="zero-shot"),
         Patch(facecolor="none", edgecolor=INK, lw=0.8, hatch="////", label="controller adapted"),
     ]
-    if any(row.paper_zero_shot is not None for row in deepest):
+    if not small and any(row.paper_zero_shot is not None for row in deepest):
         handles.append(Line2D([], [], color=PAPER_MARK, lw=2.5, label="paper"))
     legend(figure, handles)
     return figure

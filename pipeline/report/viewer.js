@@ -123,7 +123,7 @@
 
   // The same robot in its other environment: where it evolved, or the target. Robots from the target have none.
   function twinOf(index) {
-    const replay = encoded[index], same = (other) => ["title", "environment", "depth"].every((name) => other[name] === replay[name]);
+    const replay = encoded[index], same = (other) => ["robot", "title", "environment", "depth"].every((name) => other[name] === replay[name]);
     return encoded.findIndex((other) => other !== replay && same(other));
   }
 
@@ -138,6 +138,7 @@
     }
     const other = beside?.value === "twin" ? twin : beside?.value ? Number(beside.value) : -1;
     state.panes = [index, ...(other < 0 ? [] : [other])].map(replayAt);
+    control("disagreement").disabled = !state.panes.some((replay) => replay.disagreement);
     state.time = 0;
     showRobot(encoded[index]);
     draw();
@@ -213,8 +214,10 @@
   new ResizeObserver(draw).observe(canvas); // also when a frame around the page appears, as in MLflow
   for (const film of document.querySelectorAll(".film")) {
     film.addEventListener("click", () => {
-      choice.value = film.dataset.replay;
-      chosen();
+      if (choice) {
+        choice.value = film.dataset.replay;
+        chosen();
+      }
       control("viewer").scrollIntoView({ block: "center" });
       play(true);
     });

@@ -94,4 +94,4 @@ def written_comparison(compared: Compared, suffix: str) -> str:
         return WRITERS[suffix](kind, compared.rows, ". ".join(filter(None, (compared.title, compared.caution))))
     table = as_html(kind, compared.rows, "Differences between A and B", without=SAID_ABOVE)
     body = TEMPLATES.get_template("comparison.html").render(compared=compared, table=table)
-    return document(title=compared.title, policy="script-src 'none'", body=body)
+    return document(title=compared.title, policy="script-src 'none'; img-src data:", body=body)

@@ -11,8 +11,8 @@ from math import isfinite
 from typing import Any
 
 from pipeline.config.settings import Settings
-from pipeline.report.page import scale_words
 from pipeline.report.render import as_text, tables_of
+from pipeline.report.study_page import scale_words
 from pipeline.stages.cost import seconds_of_rollout
 from pipeline.stages.reader import DataSpec, StudyReader, data_spec, inputs_of, read_inputs, read_study
 from pipeline.store.manifest import Manifest

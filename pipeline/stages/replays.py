@@ -1,5 +1,6 @@
-"""Replays of champions: every one in the target, and the best of each arm where it evolved, too."""
+"""Replays of champions: every one in the target, the best of each arm and overrated ones where they evolved, too."""
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -19,16 +20,21 @@ from tasks.world import EnsembleMedium, Environment, EnvironmentName
 from tasks.world.registry import ArmKind
 
 
-def replays_of(study: StudyReader) -> list[Replay]:
-    """Return replays of every champion in the target, the best of each arm first, and also where it evolved."""
+def replays_of(study: StudyReader, overrated: Collection[tuple[str, float, int]] = ()) -> list[Replay]:
+    """Return replays of every champion in the target, the best of each arm first.
+
+    The best and those ``overrated``, by their keys, also move where they evolved.
+    """
     replays: list[Replay] = []
     for champions in _arms(study):
         best = _best_of(study, champions)
         filmed = {replay.robot for replay in best if replay.in_target}
         known = [champion for champion in champions if np.isfinite(champion.zero_shot)]
         known.sort(key=lambda champion: -champion.zero_shot)
-        others = [_at_target(study, champion) for champion in known if robot_address(*champion.key) not in filmed]
-        replays += [*best, *(replay for replay in others if replay)]
+        others = [champion for champion in known if robot_address(*champion.key) not in filmed]
+        replays += best
+        for champion in others:
+            replays += _in_both(study, champion) if champion.key in overrated else _at_target(study, champion)
     return replays
 
 
@@ -46,7 +52,7 @@ def elite_replays(study: StudyReader) -> list[tuple[Designs, Replay]]:
                 fittest[cell] = Champion(environment, depth, trial, 0, fitness, fitness, design=design)
     replays = []
     for cell, elite in sorted(fittest.items()):
-        if replay := _at_target(study, elite):
+        for replay in _at_target(study, elite):
             length, size = measure_bodies(elite.design)[0]
             address = f"elite-{cell[0]}-{cell[1]}"
             title = f"{length:.1f} m long, links of {size:.1f} m, trial {elite.trial}"
@@ -75,15 +81,20 @@ def _best_of(study: StudyReader, champions: list[Champion]) -> list[Replay]:
     scored = np.array([champion.zero_shot for champion in champions])
     survives = bool(np.isfinite(scored).any())
     best = champions[int(np.nanargmax(scored if survives else [champion.fitness for champion in champions]))]
-    ensemble = study.ensemble(best) if study.networks else None
-    replays = [_at_target(study, best, ensemble)] if survives else []
-    if best.environment != study.target:
-        replays.append(_replay(study, best, best.environment, study.home(best), ensemble))
     mean = float(np.nanmean(scored)) if survives else np.nan
-    return [replace(replay, best=True, arm_mean=mean) for replay in replays if replay]
+    return [replace(replay, best=True, arm_mean=mean) for replay in _in_both(study, best)]
 
 
-def _at_target(study: StudyReader, champion: Champion, ensemble: EnsembleMedium | None = None) -> Replay | None:
+def _in_both(study: StudyReader, champion: Champion) -> list[Replay]:
+    """Return a champion's replays in the target, if it survives there, and where it evolved, with disagreement."""
+    ensemble = study.ensemble(champion) if study.networks else None
+    replays = _at_target(study, champion, ensemble) if np.isfinite(champion.zero_shot) else []
+    if champion.environment != study.target:
+        replays += _replay(study, champion, champion.environment, study.home(champion), ensemble)
+    return replays
+
+
+def _at_target(study: StudyReader, champion: Champion, ensemble: EnsembleMedium | None = None) -> list[Replay]:
     return _replay(study, champion, study.target, study.at_target(champion.depth), ensemble)
 
 
@@ -93,7 +104,8 @@ def _replay(
     seen_in: EnvironmentName,
     environment: Environment,
     ensemble: EnsembleMedium | None,
-) -> Replay | None:
+) -> list[Replay]:
+    """Return a champion's replay in an environment; none if it diverged there."""
     learners, arms = study.settings.learners, (trial.environment for trial in study.spec.trials)
     looks = looks_of(arms, study.target, learners)
     label = looks[champion.environment].label
@@ -108,8 +120,8 @@ def _replay(
         number=study.member(champion),
     )
     if replay is None:
-        return None
-    return replace(
+        return []
+    shown = replace(
         replay,
         environment=champion.environment,
         color=looks[champion.environment].color,
@@ -118,6 +130,7 @@ def _replay(
         in_target=seen_in == study.target,
         score=champion.zero_shot,
     )
+    return [shown]
 
 
 def replay_in(

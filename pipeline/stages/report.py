@@ -34,6 +34,7 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.analysis.scores import Champion
+from tasks.analysis.tables import ANALYSES
 from tasks.residual import Transitions
 
 PAGE = "index.html"  # the page's file
@@ -142,8 +143,9 @@ def _film(study: StudyReader) -> Files:
 
 def _page(spec: PageItemSpec, study: StudyReader) -> Files:
     """Draw the page and its figures, and write its tables and the design files of champions."""
-    settings, elites = spec.settings, elite_replays(study)
-    page = replace(_study_page(spec, study), replays=[*replays_of(study), *(replay for _, replay in elites)])
+    settings, page, elites = spec.settings, _study_page(spec, study), elite_replays(study)
+    overrated = {row.key for row in page.rows("exploiters") if ANALYSES["exploiters"].shown(row)}
+    page = replace(page, replays=[*replays_of(study, overrated), *(replay for _, replay in elites)])
     drawings = draw_all(page)
     files = {PAGE: render_page(page, drawings).encode(), **tables_of(page.tables, settings.evolution.maximised)}
     for champion in study.champions:
@@ -230,7 +232,7 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
 
 REPORT = Stage(
     name="report",
-    version=22,
+    version=23,
     unit="pictures",
     reads=_reads,
     plan=_plan,

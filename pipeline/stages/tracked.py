@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import digest, encode_json
-from pipeline.store.track_file import content_of, read_bars, read_track_table
+from pipeline.store.track_file import read_bars, read_track_table
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Inputs, OutsideFile
 from tasks.bench.tracks import Bars, TrackError, Tracks, TrackTable
@@ -47,7 +47,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
     if tracks is None or tracks.sha256 is not None:
         return settings
     path = Path(tracks.file).expanduser().resolve()
-    content = content_of(path)
+    content = path.read_bytes()
     table, bars_beside = read_track_table(content, str(path))
     numbers = set(table.throw.tolist())
     bars_path = _bars_path(tracks, path, in_rows=bars_beside is not None)
@@ -57,7 +57,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
                 "file": str(path),
                 "bars": None if bars_path is None else str(bars_path),
                 "sha256": digest(content),
-                "bars_sha256": None if bars_path is None else digest(content_of(bars_path)),
+                "bars_sha256": None if bars_path is None else digest(bars_path.read_bytes()),
             }
         ),
         "throws": settings.throws.model_copy(update={"source": "tracks", "n_throws": max(len(numbers), 2)}),

@@ -8,13 +8,11 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.parquet as pq
 
 from pipeline.errors import PuddleError
 from pipeline.store.design_file import read_parquet
@@ -27,19 +25,6 @@ BAR_COLUMNS = ("length", "width", "mass")
 _WHOLE = re.compile(r"([+-]?\d+)(\.0*)?")
 _NO_LABEL = re.compile(r"(nan|[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?)?", re.IGNORECASE)  # digits are lost, or empty
 _NUMBERS = (*TRACK_COLUMNS[1:], *DEVIATION_COLUMNS, *BAR_COLUMNS)
-
-
-def content_of(path: Path) -> bytes:
-    """Return a file's bytes; of a folder of Parquet parts its rows as CSV, which is the same under any pyarrow."""
-    if not path.is_dir():
-        return path.read_bytes()
-    try:
-        table = pq.read_table(path, use_threads=False, pre_buffer=False)
-        plain = [field.name for field in table.schema if not pa.types.is_nested(field.type)]
-        pa.csv.write_csv(table.select(plain), csv := pa.BufferOutputStream())
-    except pa.ArrowException as error:
-        raise PuddleError(f"{path}: expected a folder of Parquet parts: {error}") from None
-    return bytes(csv.getvalue())
 
 
 def read_track_table(content: bytes, name: str) -> tuple[TrackTable, Bars | None]:

@@ -22,7 +22,6 @@ from pipeline.mlflow.run import CurvePoints
 from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.store.track_file import content_of
 from pipeline.workflow.identity import ChainId, InputName, TrialId
 from tasks.simulation.engine import EngineName
 
@@ -132,7 +131,7 @@ class OutsideFile:
             PuddleError: it has changed.
         """
         path = Path(self.path)
-        content = content_of(path)
+        content = path.read_bytes()
         if (found := digest(content)) != self.digest:
             raise PuddleError(
                 f"{path}: expected the file with the SHA-256 {self.digest[:12]}…, got {found[:12]}…: it has changed "

@@ -20,13 +20,10 @@ from tasks.evolution.search import (
     EMPTY_POPULATION,
     PAPERS_SEARCH,
     SEARCHES,
-    Children,
     Optimiser,
     Population,
-    Search,
     SearchName,
     empty_population,
-    register_search,
     require_search,
 )
 from tasks.evolution.trial import History, Trial, evolve, history_units

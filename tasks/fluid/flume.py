@@ -6,6 +6,8 @@ or a window that follows. A robot that goes around it meets its own wake.
 
 # mypy: warn-return-any=False
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.ndimage import map_coordinates
 
@@ -93,6 +95,19 @@ def _fill(grid: Grid, links: Links, water: Water, cover: Cover) -> None:
 rub, fill = compiled(_rub, seconds=3), compiled(_fill, seconds=3)
 
 
+@lru_cache(maxsize=8)
+def _eliminated(grid: Grid, n_columns: int) -> tuple[Float64, Float64]:
+    """Return A of open water after the elimination, and its rows over their diagonal; flumes of a grid share them."""
+    shape = n_columns, round(-grid.floor / grid.spacing)
+    faces = n_columns, shape[1] + 1
+    water = Water(np.zeros(shape), np.zeros(faces), *np.zeros((4, n_columns)))
+    links = Links(*np.zeros((4, 0)), *np.zeros((2, 0, 3)))
+    cover = Cover(np.zeros((0, *shape)), np.zeros((0, *faces)), np.ones(shape), np.ones(faces), np.ones(0))
+    number, band = np.empty(shape, np.int64), np.zeros((n_columns * shape[1], 2 * shape[1] + 1))
+    project(grid, links, water, cover, cell_order(n_columns, 0), number, band, np.zeros_like(band), False)
+    return band, band / band[:, :1]
+
+
 class Flume:
     """Water around the links of one robot."""
 
@@ -133,15 +148,7 @@ class Flume:
             np.zeros((n_links, *shape)), np.zeros((n_links, *faces)), np.ones(shape), np.ones(faces), np.ones(n_links)
         )
         self._number = np.empty(shape, np.int64)
-        self._open_water = np.zeros((n_columns * shape[1], 2 * shape[1] + 1))
-        self._factor = np.zeros_like(self._open_water)
-        self._project(self._open_water, is_known=False)
-        self._factor[:] = self._open_water / self._open_water[:, :1]
-
-    def _project(self, band: Float64, *, is_known: bool) -> None:
-        grid, links, water = self.grid, self.links, self.water
-        order = cell_order(len(water.rise), round(links.pose[:, 0].mean() / grid.spacing))
-        project(grid, links, water, self.cover, order, self._number, band, self._factor, is_known)
+        self._open_water, self._factor = _eliminated(self.grid, n_columns)
 
     @property
     def length(self) -> float:
@@ -196,7 +203,8 @@ class Flume:
         cover_faces(grid, links, cover)
         rub(grid, links, water, cover, before)
         float_links(grid, links, cover)
-        self._project(self._open_water.copy(), is_known=True)
+        order = cell_order(len(water.rise), round(links.pose[:, 0].mean() / grid.spacing))
+        project(grid, links, water, cover, order, self._number, self._open_water.copy(), self._factor, True)
         fill(grid, links, water, cover)
         dvx, dvy, domega = (links.velocity - tentative).T
         return dvx, dvy, domega

@@ -4,7 +4,7 @@ This package imports no torch, so that reading a settings file is fast; :mod:`ta
 """
 
 from tasks.residual.error_report import ErrorRow, error_rows
-from tasks.residual.forms import FORMS, Form, form_named, register_form
+from tasks.residual.forms import FORMS, Form, form_named
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.learner import LEARNERS, NO_LEARNERS, Learner, LearnerSettings, arm_kind, in_order
 from tasks.residual.robot_ranges import robot_ranges

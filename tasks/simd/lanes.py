@@ -75,7 +75,7 @@ def select(mask: Numeric, yes: Numeric, no: Numeric) -> Numeric:
     """Return ``yes`` in lanes where the mask holds, and ``no`` elsewhere; two Python numbers make float32."""
     if hasattr(yes, "where"):  # a tensor, whose gradient a formula keeps
         return yes.where(mask, no)
-    if isinstance(yes, float) and isinstance(no, float):
+    if type(yes) is float and type(no) is float:  # a number of NumPy keeps its precision
         yes, no = np.float32(yes), np.float32(no)
     chosen: Any = np.where(mask, yes, no)
     return chosen[()]  # a number if all are numbers

@@ -18,6 +18,7 @@ from tasks.world.medium import LinkStates, Scene, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import register_medium
 
+_LEAST_CELLS = 1.25  # that a link is wide, or the fluid leaks through it
 _PARTICLES = 0.5  # distance of the particles that films show [m]
 
 
@@ -26,9 +27,9 @@ class FluidFlume(Parameters):
 
     density: float = Field(default=1.25, gt=0.0, le=1e4)
     """ρ [kg/m²]; the slush's."""
-    spacing: float = Field(default=0.25, ge=0.02, le=0.33)
-    """Edge of a cell of the grid [m]; a link, at least 0.33 m wide, must be wider. Half of it takes five times as
-    long."""
+    spacing: float = Field(default=0.25, ge=0.02, le=0.25)
+    """Edge of a cell of the grid [m]; a link, at least 0.33 m wide, must be 1.25 cells wide, or water leaks through
+    it. Half of it takes five times as long."""
     length: float = Field(default=24.0, ge=4.0, le=1000.0)
     """Length of a robot's flume [m]. A robot that goes further than that meets its own wake."""
     bar_length: float = Field(default=12.0, ge=4.0, le=1000.0)
@@ -62,6 +63,9 @@ class Flumes:
     def __init__(self, fluid: FluidFlume, links: LinkStates, physics: Physics, depth: float) -> None:
         thrown = math.isinf(depth)
         is_dry = depth < fluid.spacing / 2
+        width, least = 1 / float(np.max(links.length_scale)), _LEAST_CELLS * fluid.spacing
+        if width < least:
+            raise ValueError(f"fluid.spacing: expected links at least {least:.2f} m wide, got {width:.2f} m")
         self.flumes = (
             {}
             if is_dry

@@ -7,7 +7,6 @@ A medium with memory, such as a fluid that moves with the links, has a method ``
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -69,7 +68,6 @@ class Medium(Protocol):
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Return the change over one step of ``physics.time_step``, in the precision of the arrays."""
-        ...
 
 
 class MediumWithMemory(Protocol):
@@ -80,7 +78,6 @@ class MediumWithMemory(Protocol):
 
         It is asked once in every step. What it remembers of a design must not depend on the others.
         """
-        ...
 
 
 class Scene(NamedTuple):
@@ -89,14 +86,6 @@ class Scene(NamedTuple):
     surface: Float64  # (n_points, 2) x, y [m], along x
     particles: Float64  # (n_particles, 2) x, y of what goes with the medium [m]
     period: float  # [m]
-
-
-class VisibleMedium(Protocol):
-    """A medium of which films show more than a level surface."""
-
-    def scenes(self, states: Sequence[LinkStates], physics: Physics, depth: float) -> Iterator[Scene]:
-        """Return what is seen of it after each step, given the links of one design at the starts of the steps."""
-        ...
 
 
 class MediumError(ValueError):
@@ -227,7 +216,6 @@ class EnsembleMedium(Medium, Protocol):
     @property
     def n_members(self) -> int:
         """Number of members, the length of the links' first axis."""
-        ...
 
 
 class Networks(EnsembleMedium, Protocol):
@@ -235,4 +223,3 @@ class Networks(EnsembleMedium, Protocol):
 
     def mean(self) -> Medium:
         """Return the medium whose changes are the mean of the members'."""
-        ...

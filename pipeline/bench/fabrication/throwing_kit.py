@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import degrees, tau
+from math import cos, degrees, sin, tau
 from pathlib import Path
 
 import yaml
@@ -87,17 +87,18 @@ def starts_of(bars: Sequence[ThrowingBar], scale: float, *, lowest: float, highe
     Args:
         bars: bars of the kit.
         scale: bench metres per simulated metre.
-        lowest: least height over the water that the tank's tags show [m].
+        lowest: least height over the water that the tank's tags show [m], of a whole bar.
         highest: greatest height.
     """
     ranges, time = robot_ranges(Physics()), froude_time(scale)
     heights = max(lowest / scale, -ranges.y_reach), min(highest / scale, ranges.y_reach)
     starts = even_starts(_N_THROWS, Physics(), generator(0, "throwing kit"), heights=heights)
-    rows = []
+    low, high = (1000 * scale * height for height in heights)  # [mm], as is what follows
+    middle, half_range, rows = (low + high) / 2, (high - low) / 2, []
     for length, (_, y, angle, vx, vy, omega) in zip(starts.length_scale, starts.state.tolist(), strict=True):
         bar = min(bars, key=lambda bar: abs(bar.length_scale - length))
+        reach = (bar.length_mm * abs(cos(angle)) + bar.width_mm * abs(sin(angle))) / 2
+        height = middle + (1000 * scale * y - middle) * max(1 - reach / half_range, 0)  # the whole bar is in view
         velocity = (f"{value * scale / time:z.2f}" for value in (vx, vy))
-        rows.append(
-            (bar.name, f"{1000 * scale * y:z.0f}", f"{degrees(angle):.0f}", *velocity, f"{omega / tau / time:z.1f}")
-        )
+        rows.append((bar.name, f"{height:z.0f}", f"{degrees(angle):.0f}", *velocity, f"{omega / tau / time:z.1f}"))
     return rows

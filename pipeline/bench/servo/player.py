@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.bench.servo.limits import LimitedOutput
 from pipeline.bench.servo.log import LogEntry, ServoLog
 from pipeline.bench.servo.servo_controller import ControllerError, PortLostError, ServoController, confirm_off
+from pipeline.cluster.process import handled
 from pipeline.errors import PuddleError
 from tasks.arrays import Float64
 from tasks.bench.fabrication.calibration import ServoCalibration
@@ -77,12 +78,8 @@ class StopRequest:
 def stopped_by_signals() -> Iterator[StopRequest]:
     """Turn Ctrl-C, SIGTERM and SIGHUP into a request that the player serves within a frame."""
     stop = StopRequest()
-    before = {kind: signal.signal(kind, stop.ask) for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
+    with handled((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), stop.ask):
         yield stop
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
 
 
 @dataclass

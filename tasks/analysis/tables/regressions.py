@@ -1,9 +1,9 @@
 """Accuracy of the ensembles. Paper, "Prediction Accuracy" and Fig. 3.
 
 Displacement in the target is regressed on the prediction of each member, on their mean μ, and on μ - σ. A slope below 1
-means that predictions are too optimistic, a low R that they rank designs badly. Designs of one trial descend from each
-other, so the intervals come from resampling whole trials. Trials of several replicates are predicted by different
-ensembles; their intervals are by pseudo-values, those of R on Fisher's scale, where R is nearly normal.
+means that predictions differ too much between designs, a low R that they rank designs badly. Designs of one trial
+descend from each other, so the intervals come from resampling whole trials. Trials of several replicates are predicted
+by different ensembles; their intervals are by pseudo-values, those of R on Fisher's scale, where R is nearly normal.
 """
 
 import math
@@ -43,7 +43,7 @@ class Regression:
     learned_from: str = column("ensemble", form=ensemble_name, meaning="The learner whose throws it learned from.")
     name: str = column("by", form=predictor_name, meaning="A member, their mean μ, or μ less a deviation over members.")
     r: Estimate = column("R", form="{:z.2f}", meaning="Pearson's correlation.")
-    slope: Estimate = column("slope", form="{:z.2f}", meaning="Below 1, predictions are too optimistic.")
+    slope: Estimate = column("slope", form="{:z.2f}", meaning="Below 1, predictions differ too much between designs.")
     intercept: Estimate = column("intercept", "m", form="{:z.2f}", shown=False)
     within: float | None = column(
         "within 2σ", form="{:.0%}", meaning="Share of designs that get to μ ± 2σ; ideally 95 %."

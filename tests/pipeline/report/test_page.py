@@ -201,7 +201,7 @@ def test_tables_can_be_downloaded(study):
 def test_commands_of_the_page_are_commands(html, capsys, tmp_path):
     """Each runs as far as its store or its design file, which is not there."""
     commands = re.findall(r'data-command="(.*?)"', html)
-    assert [command.split()[1] for command in commands] == ["simulate", "fabricate"]
+    assert [command.split()[1] for command in commands] == ["simulate"]
     for command in commands:
         words = {"file": "none.json", "seen": "true_slush", "depth": "9", "store": str(tmp_path / "store")}
         assert call(*shlex.split(unescape(command).format(**words))[1:]) == 2

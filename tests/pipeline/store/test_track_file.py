@@ -1,14 +1,13 @@
 """Tracks files: what is read of CSV and Parquet, and what is refused."""
 
 import gzip
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.store.track_file import content_of, read_bars, read_track_table
+from pipeline.store.track_file import read_bars, read_track_table
 
 CSV = b"\xef\xbb\xbfthrow, time ,x,y,angle,note\n3,0,0.1,-0.2,0.5,a\n\n3,0.5,0.2,-0.3,0.6,b\n"
 
@@ -52,28 +51,6 @@ def test_tables_of_spreadsheets_are_read(content: str | bytes) -> None:
     assert (read.throw.tolist(), read.time.tolist()) == ([1] * 4, [0, 0.1, 0.2, 0.3])
     assert (read.x.tolist(), read.y.tolist()) == ([-0.25, -1.25, -2.25, -3.25], [0.5] * 4)
     assert read.angle.tolist() == read.time.tolist()
-
-
-def test_a_folder_of_parquet_parts_is_one_table(tmp_path: Path) -> None:
-    columns = {
-        "throw": [1, 1, 2],
-        "time": [0, 0.1, 0],
-        "x": [1e-17, 1 / 3, 2e22],
-        "y": [0, 1, 2],
-        "angle": [None, 1, 2],
-    }
-    table = pa.table(columns | {"tags": [["a"], [], []]})
-    pq.write_to_dataset(table, tmp_path / "by_throw", partition_cols=["throw"])
-    (tmp_path / "in_order").mkdir()
-    for part in (0, 1):
-        pq.write_table(table.slice(2 * part, 2), tmp_path / "in_order" / f"part.{part}.parquet")
-    for folder in ("by_throw", "in_order"):
-        read, _ = read_track_table(content_of(tmp_path / folder), folder)
-        assert (read.throw.tolist(), read.x.tolist()) == (columns["throw"], columns["x"])
-    (tmp_path / "text").mkdir()
-    (tmp_path / "text" / "a.csv").write_text(PLAIN)
-    with pytest.raises(PuddleError, match="text: expected a folder of Parquet parts"):
-        content_of(tmp_path / "text")
 
 
 def test_deviations_and_bars_may_be_columns() -> None:

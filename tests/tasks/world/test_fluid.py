@@ -67,6 +67,8 @@ def test_films_show_the_water_of_the_rollout():
     assert not scenes_along(DESIGNS[:1], trace, TrueSlush(1.0), Physics())
 
 
-def test_cells_are_narrower_than_links():
+def test_links_are_wide_enough_for_the_cells():
     with pytest.raises(ValueError, match="spacing"):
-        FluidFlume(spacing=0.5)
+        FluidFlume(spacing=0.26)
+    with pytest.raises(ValueError, match=r"fluid.spacing: expected links at least 0.31 m wide, got 0.25 m"):
+        puddle.throw("fluid", Throws(length_scales=(4.0,), n_throws=2, n_steps=2))

@@ -40,9 +40,13 @@ def test_throws_are_spread_over_what_bars_and_tank_allow():
     bars = throwing_bars(ThrowingKit(), KitSettings(), 1000.0)
     throws = starts_of(bars, 0.07, lowest=-0.15, highest=0.12)
     names, *numbers = zip(*throws, strict=True)
-    heights, _, speeds, *_ = np.array(numbers, dtype=float)
+    heights, angles, speeds, *_ = np.array(numbers, dtype=float)
+    size = {bar.name: np.array([bar.length_mm, bar.width_mm]) for bar in bars}
+    turned = np.abs([np.cos(np.radians(angles)), np.sin(np.radians(angles))]).T
+    reach = (np.array([size[name] for name in names]) * turned).sum(axis=1) / 2
     assert len(throws) == 64 and set(names) == {bar.name for bar in bars}
-    assert -150 <= heights.min() < -130 and 100 < heights.max() <= 120  # as far as the tank's tags reach
+    # Whole bars are as far up and down as the tank's tags reach; heights are rounded to 1 mm, angles to 1°.
+    assert -152 <= (heights - reach).min() < -140 and 110 < (heights + reach).max() <= 122
     assert 0.9 < speeds.max() < 1.6
 
 
