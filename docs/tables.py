@@ -436,7 +436,8 @@ def _source(file: str, results: Results, page: Path) -> str:
     made = results.get("made_with") or results.get("provenance") or results["machine"]
     commit, changed = made["commit"][:7], " with changes" if made["commit"].endswith("-dirty") else ""
     link = f"[{Path(file).name}]({relpath(ROOT / file, page.parent)})"
-    return f"{link}, commit {commit}{changed}, {made.get('cpu', 'AMD EPYC')}"
+    cpu = made.get("cpu", "AMD EPYC").replace("(R)", "").removesuffix(" Processor")
+    return f"{link}, commit {commit}{changed}, {cpu}"
 
 
 def main() -> None:
