@@ -220,10 +220,11 @@ def arm_kind(name: str, learners: Mapping[str, Learner] = NO_LEARNERS) -> ArmKin
         return kind
     throws, networks = learner.throws, "one network" if learner.is_single else "networks"
     what = "your tank" if tracked else f"{throws.n_throws:,} {_DESIGNS[throws.design]}throws"
-    label = f"{networks} of your tank" if name in _KINDS else f"{kind.label} ({what})"
     about = f"Dry Land with {networks} ({learner.network.form}) that learned from {'throws in ' * tracked}{what}."
-    evolved = f"with the {label}" if tracked and not learner.is_single else kind.evolved
-    return replace(kind, label=label[0].upper() + label[1:], evolved=evolved, about=about)
+    if name not in _KINDS:
+        return replace(kind, about=about)
+    evolved = kind.evolved if learner.is_single else "with the networks of your tank"
+    return replace(kind, label=f"{networks.capitalize()} of your tank", evolved=evolved, about=about)
 
 
 def in_order(environments: Iterable[str], first: str = "") -> list[str]:

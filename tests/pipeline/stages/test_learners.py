@@ -55,7 +55,7 @@ def test_learners_of_a_study_are_arms_like_others(folder):
 
 def test_the_page_names_them_in_colours_of_their_own(folder):
     page = (folder / "store" / "studies" / "listed" / "report" / PAGE).read_text()
-    assert "Five (5 throws), Ê" in page and "One of five (5 throws), Ê" in page
+    assert "Five, Ê" in page and "One of five, Ê" in page and "learned from 5 throws" in page
     assert "--arm-five: #d6428f" in page and "--arm-one_of_five: #6f7d1c" in page
 
 
@@ -77,7 +77,7 @@ def test_a_design_is_simulated_under_a_learner(folder, capsys):
     assert call("simulate", str(design), "--environment", "five", *where) == 0
     said = capsys.readouterr().out
     assert call("simulate", str(design), "--environment", "one_of_five", *where) == 2
-    assert said.startswith("Five (5 throws), 1 m deep") and said.count(", ", said.index("members")) == 2
+    assert said.startswith("Five, 1 m deep") and said.count(", ", said.index("members")) == 2
 
 
 def test_learners_change_no_work_item_of_other_arms():
