@@ -8,7 +8,7 @@ import pandas
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.store.track_file import content_of, read_track_table
+from pipeline.store.track_file import read_track_table
 
 PAGE = (Path(__file__).parents[2] / "docs" / "your-own-tank.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.M | re.S)
@@ -29,7 +29,7 @@ def converted(program: str, text: str, folder: Path, monkeypatch: pytest.MonkeyP
     Path(f"{program}.csv").write_text(text, encoding="utf-8")
     (block,) = (block for block in BLOCKS if f'"{program}.csv"' in block)
     exec(block, {"numpy": np, "pandas": pandas})
-    return read_track_table(content_of(Path("converted.csv")), "converted.csv")[0]
+    return read_track_table(Path("converted.csv").read_bytes(), "converted.csv")[0]
 
 
 @pytest.mark.parametrize("animals", [[], ["b1", "b2"]])

@@ -193,7 +193,8 @@ def test_an_existing_cluster_is_sent_the_packages(local_ray, tmp_path):
     """A driver elsewhere joins by address, behind a proxy, too; its workers import what it sent."""
     driver = """
 import sys
-from pipeline.cluster import prepare_process, ray_cluster
+from pipeline.cluster import ray_cluster
+from pipeline.cluster.process import prepare_process
 prepare_process()
 def where():
     import pipeline.cluster, tasks.design.genes
@@ -220,7 +221,8 @@ def test_workers_have_the_driver_s_environment_and_nothing_of_the_folder_where_a
     """Under `uv run`, too: Ray looks for a process of that name, and would have each worker build the environment."""
     driver = """
 import sys
-from pipeline.cluster import prepare_process, ray_cluster
+from pipeline.cluster import ray_cluster
+from pipeline.cluster.process import prepare_process
 prepare_process()
 with ray_cluster(n_workers=1) as cluster:
     cluster.submit(getattr, sys, "executable")
@@ -241,7 +243,8 @@ assert hook({"working_dir": "/"})["py_executable"].startswith("uv run --no-sync"
 
 DIES = """
 import psutil
-from pipeline.cluster import prepare_process, ray_cluster
+from pipeline.cluster import ray_cluster
+from pipeline.cluster.process import prepare_process
 prepare_process()
 def forever():
     while True: pass
