@@ -63,8 +63,8 @@ class Flumes:
     def __init__(self, fluid: FluidFlume, links: LinkStates, physics: Physics, depth: float) -> None:
         thrown = math.isinf(depth)
         is_dry = depth < fluid.spacing / 2
-        width, least = 1 / float(np.max(links.length_scale)), _LEAST_CELLS * fluid.spacing
-        if width < least:
+        width, least = float(np.min([links.length_scale, 1 / links.length_scale])), _LEAST_CELLS * fluid.spacing
+        if width < least and not is_dry:
             raise ValueError(f"fluid.spacing: expected links at least {least:.2f} m wide, got {width:.2f} m")
         self.flumes = (
             {}
