@@ -153,6 +153,16 @@ def test_the_gallery_moves_where_it_is_seen_and_opens_the_viewer(opened):
     assert opened.evaluate("document.getElementById('play').textContent") == "Pause"
 
 
+def test_a_film_opens_the_viewer_of_a_single_robot(browser, study, drawn, tmp_path):
+    page = tmp_path / "index.html"
+    page.write_text(render_page(replace(study, replays=study.replays[2:3]), drawn))
+    browser.open(page, width=1200)
+    browser.evaluate("document.querySelector('.film').click()")
+    assert browser.evaluate("document.getElementById('play').textContent") == "Pause"
+    assert browser.evaluate("document.getElementById('disagreement').disabled")
+    assert browser.named("Runtime.exceptionThrown") == []
+
+
 def test_the_address_of_a_robot_opens_it_with_its_files_and_commands(opened):
     opened.evaluate("location.hash = '#robot-residual_slush-9m-trial-0:predicted'")
     opened.until("document.getElementById('choice').value === '3'")

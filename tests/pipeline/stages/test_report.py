@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_study import inputs_of
 
+from pipeline.report.page import robot_address
 from pipeline.report.render import typeset
 from pipeline.stages.files import SCORE
 from pipeline.stages.reader import data_spec, read_inputs, read_study
@@ -57,6 +58,16 @@ def test_the_best_of_every_arm_is_seen_in_true_slush_and_where_it_evolved(settin
         assert replay.command == names.get(seen_in, "residual_slush")  # what `simulate` shows
     home, slush = found["residual_slush", at_home["residual_slush"]], found["residual_slush", "True Slush"]
     assert home.title == slush.title and not np.array_equal(home.frames, slush.frames)
+
+
+def test_overrated_champions_are_seen_where_they_evolved_too(settings, inputs):
+    study = read_inputs(data_spec(settings, trials_of(settings, "transfer")), Execution(), inputs)
+    best = {one.robot for one in replays_of(study) if one.best}
+    keys = [one.key for one in study.champions if one.environment == "residual_slush"]
+    (other,) = [key for key in keys if robot_address(*key) not in best][:1]
+    target, home = (one for one in replays_of(study, {other}) if one.robot == robot_address(*other))
+    assert (target.seen_in, target.title) == ("True Slush", home.title) and "(member " in home.seen_in
+    assert home.disagreement.shape == home.frames.shape[:2]
 
 
 def test_without_networks_and_analysis_there_is_what_needs_none(settings, inputs):
