@@ -107,7 +107,7 @@ def depths() -> None:
             ends = value - low, high - value
             panel.errorbar(x, value, ends, color=colour, marker=marker, label=label, elinewidth=0.7)
         panel.axhline(0, color="#c9ced6", zorder=0)
-        panel.set(title=title, ylim=(-15, 85))
+        panel.set(title=title, ylim=(-15, 90))
         panel.set_xticks(range(len(deep)), [f"{depth:g}" for depth in deep])
     figure.supxlabel("depth [m]")
     figure.supylabel("displacement in true slush [m]")

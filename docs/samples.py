@@ -100,6 +100,16 @@ def studies_at(depth: float, *studies: Results, redrawn: Results) -> dict[str, R
     return {name: max(those, key=lambda one: int(one["n_replicates"])) for name, those in having.items()}
 
 
+def mean_share(sides: Mapping[float, Results], environment: str, best_of: Results) -> Sample:
+    """Return the zero-shot share of *E* of each data set of an arm, averaged over depths, by the study of each."""
+    by_data_set = []
+    for depth, study in sides.items():
+        best = champions_of(best_of, "true_slush", "zero_shot", depth).values.mean()
+        by_data_set.append(shares_by_data_set(champions_of(study, environment, "zero_shot", depth), best))
+    mean = np.mean(by_data_set, axis=0)
+    return sample_of(mean, np.arange(len(mean)))
+
+
 @dataclass(frozen=True)
 class Kept:
     """What robots that evolved under a learner keep zero-shot."""

@@ -24,6 +24,7 @@ from samples import (
     compared_anew,
     exploiters,
     label_of,
+    mean_share,
     share_of,
     share_of_best,
     shares_by_data_set,
@@ -36,7 +37,7 @@ from scipy.stats import ttest_ind
 from pipeline.report.render import as_markdown
 from tasks.analysis import paper
 from tasks.analysis.columns import column
-from tasks.analysis.estimates import Estimate, Mean, Sample, sample_of
+from tasks.analysis.estimates import Estimate, Mean, Sample, sample_of, sum_of_means
 from tasks.analysis.tables.transfer import papers_mean
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -137,7 +138,7 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
 
 
 @table(
-    text("depth [m]", "{:g}"),
+    text("depth [m]"),
     metres("*E*"),
     share("Dry Land, *E′*"),
     share("Residual Slush, *Ê*"),
@@ -145,11 +146,18 @@ def front(large: Results, small: Results, redrawn: Results, robust: Results) -> 
     share("Designed throws, *Ê\\**"),
 )
 def depths(study: Results, learned: Results, row: Results, redrawn: Results) -> Iterable[tuple[Any, ...]]:
-    """Tabulate the zero-shot shares of *E* at all depths, by the studies with the most data sets and draws of each."""
+    """Tabulate the zero-shot shares of *E* at all depths, by the studies with the most data sets and draws of each.
+
+    The last row is the mean over depths of what is learned, with Student's interval over data sets.
+    """
+    sides: dict[str, dict[float, Results]] = {}  # of each arm, by depth
     for depth in sorted({row["depth"] for row in study["champions"]}):
-        sides = studies_at(depth, study, learned, row, redrawn=redrawn).items()
-        shares = (share_of_best(side, name, "zero_shot", depth, best_of=study) for name, side in sides)
-        yield depth, fmean(champions_of(study, "true_slush", "zero_shot", depth).values), *shares
+        for name, side in studies_at(depth, study, learned, row, redrawn=redrawn).items():
+            sides.setdefault(name, {})[depth] = side
+        shares = (share_of_best(by[depth], name, "zero_shot", depth, best_of=study) for name, by in sides.items())
+        yield f"{depth:g}", fmean(champions_of(study, "true_slush", "zero_shot", depth).values), *shares
+    means = {name: mean_share(sides[name], name, study) for name in ("residual_slush", "designed_throws")}
+    yield "mean", None, *(sum_of_means(means[name]) if name in means else None for name in sides)
 
 
 @table(
