@@ -61,6 +61,11 @@ def added(links: LinkStates, change: VelocityChange) -> LinkStates:
     return LinkStates(**{**vars(links), **moved})
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_numbers_keep_their_precision(kind: type) -> None:
+    assert {type(part) for part in submerged_part(*map(kind, (2.0, -0.1, 0.6, 0.8)))} == {kind}
+
+
 @pytest.mark.parametrize("form", ["vector", "by_component"])
 def test_the_forms_of_drag(form: str) -> None:
     # Fully submerged, A_s = 1 m² and m = 1 kg: k = ½ · 1.25 · 10 = 6.25 /m. I_s = I, so k_r = 1.25 · 20 = 25.
