@@ -55,13 +55,7 @@ class Check:
 
 
 def examine(settings: Settings, store: Path, *, n_workers: int | None) -> Iterator[Check]:
-    """Check this machine.
-
-    Args:
-        settings: the study that the machine is to run.
-        store: the folder for results; it need not exist.
-        n_workers: cores to use; None for all, 0 for this process alone.
-    """
+    """Check this machine for a study; ``n_workers`` of None are all cores, of 0 this process alone."""
     n_workers = number_of_cores() if n_workers is None else n_workers
     yield _versions()
     yield _processor(n_workers)

@@ -101,11 +101,7 @@ class StudyStatus:
 def study_status(settings: Settings, store: Store, record: StudyRecord | None, *, with_diverged: bool) -> StudyStatus:
     """Return how far a study has got: recorded items count by their keys, whatever today's code would make of them.
 
-    Args:
-        settings: the study's settings.
-        store: the store.
-        record: the study's record, if it has one.
-        with_diverged: whether to look for designs that diverged, which reads the curves of every trial.
+    To look for designs that diverged reads the curves of every trial.
     """
     notes: list[str] = []
     found = survey(settings, STAGES, store, record=record, say=notes.append)

@@ -70,12 +70,7 @@ class StageForecast:
 
 
 def forecast_stages(settings: Settings, store: Store | None = None) -> list[StageForecast]:
-    """Forecast what is left of each stage of a study.
-
-    Args:
-        settings: the study's settings.
-        store: holds what is done of it and tells what it cost, if there is one.
-    """
+    """Forecast what is left of each stage of a study; the store, if there is one, tells what its work has cost."""
     upstream: Upstream = {}
     costs: dict[_Kind, _Cost] = {}
     if store is not None:

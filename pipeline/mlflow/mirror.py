@@ -49,10 +49,7 @@ class Tracker:
     def mirror(self, study: Run, stage: Run, trials: Sequence[Run] = ()) -> None:
         """Bring a stage of a study and some of its trials up to date in MLflow. Errors of MLflow become one warning.
 
-        Args:
-            study: the study's run.
-            stage: the stage's run, a child of the study's.
-            trials: runs of the stage's trials, children of the stage's; those left out stay as they are.
+        Trials that are left out stay as they are.
         """
         try:
             with self._database():

@@ -16,12 +16,5 @@ TEMPLATES.globals["resource"] = lambda name: files("pipeline.report").joinpath(n
 
 
 def document(*, title: str, policy: str, body: str, css: str = "") -> str:
-    """Return a whole page, for a study or for a kit.
-
-    Args:
-        title: text.
-        policy: Content-Security-Policy for everything but styles.
-        body: HTML.
-        css: styles in addition to page.css.
-    """
+    """Return a whole page; ``policy`` is its Content-Security-Policy, ``css`` comes in addition to page.css."""
     return TEMPLATES.get_template("document.html").render(title=title, policy=policy, css=css, body=body.rstrip())

@@ -67,13 +67,7 @@ class Drawing:
 
 
 def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Drawing:
-    """Draw a figure in the common style, whatever style the user has set.
-
-    Args:
-        name: name of the figure.
-        title: heading.
-        draw: returns the figure and its description.
-    """
+    """Draw a figure and its description by ``draw``, in the common style, whatever style the user has set."""
     with mpl_style.context(_STYLE):
         figure, description = draw()
         figure.draw_without_rendering()  # lays it out, once for all formats

@@ -99,15 +99,7 @@ def parts_of(
     only: Mapping[str, Any],
     objective: Objective = OBJECTIVES[PAPERS_OBJECTIVE],
 ) -> Iterator[pa.Table]:
-    """Yield the rows of a table, one Arrow table for each chain.
-
-    Args:
-        name: name of the table, one of those available.
-        upstream: what the store holds of each stage.
-        store: where it is.
-        only: values of keys that chains must have, if they have the key.
-        objective: of the study.
-    """
+    """Yield the rows of a table, an Arrow table for each chain whose keys have the values of ``only``, if any."""
     source = available(upstream)[name]
     for chain, items in source.parts(upstream[source.stage], store).items():
         keys, where = keys_of(chain), f"{name}: {chain.label}"

@@ -96,14 +96,7 @@ def build_environment(
 def environment_of(
     media: Mapping[EnvironmentName, Any], name: EnvironmentName, depth: float, ensemble: EnsembleMedium | None = None
 ) -> Environment:
-    """Return an environment.
-
-    Args:
-        media: what environments consist of, this one among them.
-        name: name of the environment.
-        depth: of the ground below the surface [m].
-        ensemble: its networks, if it is a learner's.
-    """
+    """Return an environment over ground at a depth [m], with its networks if it is a learner's."""
     if ensemble is not None and media[name] == "mean":
         return MeanResidual(depth, cast(Networks, ensemble))
     if ensemble is not None and isinstance(media[name], str | Served):

@@ -146,15 +146,8 @@ def replay_in(
 ) -> Replay | None:
     """Return the replay of a design in an environment, in an ensemble that of the median member; None if it diverged.
 
-    Args:
-        design: a single design.
-        rollouts: its simulation there, with a trace.
-        kind: what readers know of the environment.
-        environment: the environment.
-        simulation: settings of the simulation.
-        title: heading.
-        ensemble: whose members' disagreement to show, if any.
-        number: of the network in its data set, where it is not its place in the ensemble.
+    ``rollouts`` have its trace there, and ``number`` is the network's in its data set, where it is not its place in the
+    ensemble, whose members' disagreement is shown.
     """
     physics, n_settle = simulation.physics, simulation.rollout.n_settle
     trace, member = shown_trace(rollouts, environment)

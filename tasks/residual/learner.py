@@ -99,14 +99,7 @@ class Learner:
 def learner_of(
     name: str, learners: Mapping[str, LearnerSettings], base: LearnerSettings, n_members: int
 ) -> Learner | None:
-    """Return a learner in full; None if a study has none of that name.
-
-    Args:
-        name: its name.
-        learners: those of the study, by name.
-        base: the study's groups, which hold where a learner states nothing else.
-        n_members: of an ensemble whose learner does not state it.
-    """
+    """Return a learner in full, completed by the study's groups ``base``; None if a study has none of that name."""
     given = learners.get(name)
     if given is None:
         return None
