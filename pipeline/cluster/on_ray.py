@@ -33,6 +33,7 @@ OBJECT_STORE_BYTES = 512 * 2**20  # shared memory of a local cluster; ensembles 
 _N_INFRASTRUCTURE_RETRIES = 1  # retries of a task after its worker, node or memory failed, not after its own exception
 _START_SECONDS = 120.0  # time to start Ray or to join a cluster [s]; ten are usual, and Ray itself tries for minutes
 _SHUTDOWN_SECONDS = 10.0  # time for Ray to end by itself [s]; a server that is gone lets it wait for ever
+_LAST_WORDS_SECONDS = 3.0  # time for its processes to end after that [s]
 _CHECK_INTERVAL = 1.0  # time between two checks of Ray's servers [s]
 _SERVERS = ("gcs_server", "raylet")  # ray's names for the processes without which it is dead
 _SESSIONS_FOLDER = "/tmp"  # short, because the path of a Unix socket has at most 107 bytes; TMPDIR may be longer
@@ -176,6 +177,15 @@ def _local(n_workers: int) -> Iterator[_Ray]:
                 yield _Ray(_servers_alive(), _RAY_DIED, n_workers)
         finally:
             del os.environ["RAY_AUTH_TOKEN_PATH"]
+            _remove(Path(folder))
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of Ray's, whose last processes write there for a moment after it was shut down."""
+    end = time.monotonic() + _LAST_WORDS_SECONDS
+    while folder.exists() and time.monotonic() < end:
+        shutil.rmtree(folder, ignore_errors=True)
+        time.sleep(0.05)
 
 
 def _servers_alive() -> Callable[[], bool]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from marked_processes import started
 
-from pipeline.cluster import Cluster, Done, Outcome, Spread, TaskFailed, Ticket, ray_cluster, serial_cluster
+from pipeline.cluster import Cluster, Done, Outcome, Spread, TaskFailed, Ticket, on_ray, ray_cluster, serial_cluster
 from pipeline.errors import PuddleError
 
 ROOT = Path(__file__).parents[3]
@@ -322,3 +322,16 @@ def test_what_is_no_address_of_a_cluster_is_refused_at_once(where: str):
 def test_no_workers_is_refused():
     with pytest.raises(PuddleError, match="workers: expected at least 1, got 0"), ray_cluster(n_workers=0):
         pass
+
+
+def test_a_session_folder_goes_though_ray_still_writes_to_it(tmp_path: Path, monkeypatch):
+    (folder := tmp_path / "ray").mkdir()
+    still_writes = iter([True, True, False])
+
+    def pause(seconds: float) -> None:
+        if next(still_writes):
+            (folder / "logs").mkdir(parents=True)
+
+    monkeypatch.setattr(time, "sleep", pause)
+    on_ray._remove(folder)
+    assert not folder.exists()
