@@ -1,5 +1,6 @@
 """puddle score: how far many designs get in one environment."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +27,7 @@ from tasks.evolution import OBJECTIVES
 from tasks.residual import arm_kind
 
 _AT_ONCE, _WITH_TRACE = 4096, 64  # designs simulated in one call, to bound the memory
+_SLOWLY = 16  # the same in other engines than the batch one, which take a second
 _UNITS = {
     "design": "row of the table, from 0",
     "diverged": "",
@@ -66,21 +68,24 @@ def score(
     at = environments.build_environment(simulation.media, name, depth, networks)
     execution, fitness = Execution(engine or settings.work.engine), environments.fitness_spec(settings, name)
     parts: list[Columns] = []
-    at_once = _WITH_TRACE if objective.trace else _AT_ONCE
-    for first in range(0, len(designs), at_once):
-        scores = environments.evaluate_designs(designs[first : first + at_once], simulation, execution, at, fitness)
-        parts.append(
-            {
-                "diverged": np.isneginf(scores.fitness),
-                "fitness": scores.fitness,
-                "displacement": scores.displacement if at.is_ensemble else scores.displacement[:, 0],
-                "com_displacement": scores.com_displacement if at.is_ensemble else scores.com_displacement[:, 0],
-            }
-        )
+    at_once = _SLOWLY if execution.engine != "batch" else _WITH_TRACE if objective.trace else _AT_ONCE
+    firsts = range(0, len(designs), at_once)
+    with typer.progressbar(firsts, hidden=not sys.stderr.isatty(), file=sys.stderr) as shown:
+        for first in shown:
+            scores = environments.evaluate_designs(designs[first : first + at_once], simulation, execution, at, fitness)
+            parts.append(
+                {
+                    "diverged": np.isneginf(scores.fitness),
+                    "fitness": scores.fitness,
+                    "displacement": scores.displacement if at.is_ensemble else scores.displacement[:, 0],
+                    "com_displacement": scores.com_displacement if at.is_ensemble else scores.com_displacement[:, 0],
+                }
+            )
     table = {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
     table = {"design": np.arange(len(designs)), **table}
-    label, n_diverged = arm_kind(name, settings.arm_learners).label, int(table["diverged"].sum())
-    to_stdout(f"{label}, {depth:g} m deep: {len(designs)} design{'s' * (len(designs) != 1)}, {n_diverged} diverged")
+    where, n_diverged = f"{arm_kind(name, settings.arm_learners).label}, {depth:g} m deep", int(table["diverged"].sum())
+    where += f", in {execution.engine}" * (execution.engine != "batch")
+    to_stdout(f"{where}: {len(designs)} design{'s' * (len(designs) != 1)}, {n_diverged} diverged")
     finite = table["fitness"][~table["diverged"]]
     if len(finite):
         mean, median, best = (
