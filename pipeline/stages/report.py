@@ -232,7 +232,7 @@ def _summarise(settings: Settings, upstream: Upstream, store: Store) -> Summary:
 
 REPORT = Stage(
     name="report",
-    version=23,
+    version=24,
     unit="pictures",
     reads=_reads,
     plan=_plan,
