@@ -31,18 +31,7 @@ hypothesis.settings.load_profile("puddle")
 os.environ.update(LOCAL_ENVIRONMENT)  # ray reads it on import, which a test may do before the first cluster
 
 MEMORY = Path("/dev/shm")
-ROOM_BYTES = 4e9
-"""Room required in memory: ten times what the tests write, and Ray's shared memory."""
-
-
-def write_to_memory() -> None:
-    """Have pytest make its temporary folders in memory if there is room.
-
-    On a disk the tests wait for thousands of flushes of milliseconds each: one per file of a store and per statement
-    that makes a database. That the flushes are needed is tested with tests/torture/crash_consistency_disk.py.
-    """
-    if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
-        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
+ROOM_BYTES = 4e9  # required in memory: ten times what the tests write, and Ray's shared memory
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -98,9 +87,6 @@ def kit(crane: Designs) -> Any:
     return build_kit(crane, KitSettings())
 
 
-# -- torture ---------------------------------------------------------------------------------------------------------
-
-
 class Torture:
     """The attempts of a torture test and their random generators; a failure shows how to repeat it."""
 
@@ -129,16 +115,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    write_to_memory()
+    """Have pytest make its temporary folders in memory if there is room.
+
+    On a disk the tests wait for thousands of flushes of milliseconds each: one per file of a store and per statement
+    that makes a database. That the flushes are needed is tested with tests/torture/crash_consistency_disk.py.
+    """
+    if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
     gc.set_threshold(20_000)  # as in pipeline/__main__.py
 
 
 @pytest.fixture
 def torture(request: pytest.FixtureRequest) -> Torture:
     return Torture(request.config, request.node.nodeid)
-
-
-# -- the order of tests ----------------------------------------------------------------------------------------------
 
 
 def pytest_collection_finish() -> None:

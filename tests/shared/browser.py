@@ -30,12 +30,7 @@ FLAGS = (
     "--remote-debugging-pipe",
     "--hide-scrollbars",
 )
-PATIENCE = 30.0
-"""Longest wait for an answer of the browser [s]."""
-
-
-def _pixels(png: str) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB"))
+PATIENCE = 30.0  # longest wait for an answer of the browser [s]
 
 
 class Browser:
@@ -87,11 +82,11 @@ class Browser:
         message, self._rest = self._rest.split(b"\0", 1)
         return json.loads(message)
 
-    def open(self, page: Path, *, width: int, height: int = 800) -> None:
-        self.visit(page.as_uri(), width=width, height=height)
+    def open(self, page: Path, *, width: int) -> None:
+        self.visit(page.as_uri(), width=width)
 
-    def visit(self, address: str, *, width: int, height: int = 800) -> None:
-        self("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
+    def visit(self, address: str, *, width: int) -> None:
+        self("Emulation.setDeviceMetricsOverride", width=width, height=800, deviceScaleFactor=1, mobile=width < 600)
         self.events.clear()
         self("Page.navigate", url=address)
         self.until("document.readyState === 'complete'")
@@ -111,21 +106,13 @@ class Browser:
         self.evaluate("0")  # what happened before has then arrived
         return [event["params"] for event in self.events if event["method"] == method]
 
-    def picture(self, selector: str) -> np.ndarray:
-        """Pixels of an element, (height, width, 3), as many wherever between two pixels it begins."""
-        box = self.evaluate(
-            f"(() => {{ const b = document.querySelector('{selector}').getBoundingClientRect();"
-            " return {x: Math.floor(b.x + scrollX), y: Math.floor(b.y + scrollY),"
-            " width: Math.ceil(b.width), height: Math.ceil(b.height), scale: 1}; })()"
-        )
-        return _pixels(self("Page.captureScreenshot", clip=box, captureBeyondViewport=True)["data"])
-
     def drawn(self, identity: str) -> np.ndarray:
         """Pixels that a script has drawn on a canvas, (height, width, 3).
 
         A screenshot may show what lies outside the window as it was before: a busy machine paints it later.
         """
-        return _pixels(self.evaluate(f"document.getElementById('{identity}').toDataURL()").partition(",")[2])
+        png = self.evaluate(f"document.getElementById('{identity}').toDataURL()").partition(",")[2]
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB"))
 
     def close(self) -> None:
         os.killpg(self._pid, signal.SIGKILL)  # its own group: it and the processes that it started

@@ -1,31 +1,26 @@
-"""A synthetic camera before a robot: `python tests/shared/synthetic_run.py --kit KIT --out DIR` films a run of it.
+"""A synthetic camera before a robot, which films a run of it.
 
-The robot does what it does in the simulation that the kit records, but its joints rise from rest as the servos' do.
-Beside the video come the printed board, the markers file and the tracks that are true, so that `puddle compare-run` can
-be tried without a robot, or with a robot that swims slower than its simulation (--slower).
+The robot does what it does in the simulation that a kit records, or swims slower; its joints rise from rest as the
+servos' do.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from synthetic_tank import LARGE_TANK, TankCamera, TankScene, markers_of_tank, sticker, write_beside, write_csv
+from synthetic_tank import TankScene, sticker
 
 from pipeline.bench.vision.markers_file import Markers, TaggedBar
-from pipeline.commands.compare_run import read_kit
 from tasks.analysis.built_run import BuiltRobot
 from tasks.arrays import Float64
 from tasks.bench.fabrication.timeline import RAMP, driven_joints, envelope
 from tasks.design import N_LINKS, rest_pose
-from tasks.seeding import generator
 from tasks.simulation import simulate
 
 _BEFORE = 1.0  # from the start of the video to that of the servos [s]
 _START = 0.25  # where the root begins in the tank [m]
-TRACKS = ("throw", "time", "x", "y", "angle")
 
 
 def motion_of(robot: BuiltRobot, seconds: float, slower: float) -> tuple[Float64, Float64]:
@@ -93,25 +88,4 @@ def film_run(out: Path, scene: TankScene, robot: BuiltRobot, seconds: float, slo
         for time, instants in zip(opens, held, strict=True)
         for link in range(N_LINKS)
     ]
-    return dict(zip(TRACKS, np.array(rows).T, strict=True))
-
-
-def main() -> None:
-    """Film a run and a board, and write what is true of them."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--kit", type=Path, required=True)
-    options.add_argument("--out", type=Path, required=True)
-    options.add_argument("--seconds", type=float, default=20.0)
-    options.add_argument("--slower", type=float, default=1.0)
-    given = options.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    markers, rng = markers_of_tank(LARGE_TANK), generator(0, "synthetic run")
-    scene = TankScene(TankCamera(exposure=0.004), markers, rng=rng)
-    tracks = film_run(given.out / "run.mp4", scene, read_kit(given.kit), given.seconds, given.slower)
-    write_csv(given.out / "run.csv", TRACKS, np.column_stack([*tracks.values()]), "%d,%.5f,%.6f,%.6f,%.5f")
-    write_beside(given.out, scene.camera, markers, rng)
-    print(f"{given.seconds:g} s of a run in {given.out}")
-
-
-if __name__ == "__main__":
-    main()
+    return dict(zip(("throw", "time", "x", "y", "angle"), np.array(rows).T, strict=True))

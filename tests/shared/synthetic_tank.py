@@ -315,15 +315,6 @@ def markers_of_tank(tank: ThrowingKit) -> Markers:
     return markers_of(tank, throwing_bars(tank, KitSettings(), 1000.0))
 
 
-LARGE_TANK = ThrowingKit(tank_length=1.1, tank_height=0.62, waterline=0.32)
-
-
-def write_beside(folder: Path, camera: TankCamera, markers: Markers, rng: np.random.Generator) -> None:
-    """Write what `puddle track` needs beside a video: board.mp4 and markers.yaml."""
-    film_board(folder / "board.mp4", camera, markers, 12, rng)
-    (folder / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False))
-
-
 def main() -> None:
     """Film throws and a board, and write what is true of them; or write tracks."""
     options = argparse.ArgumentParser(description=__doc__)
@@ -334,7 +325,7 @@ def main() -> None:
     options.add_argument("--memory", action="store_true", help="of a fluid with memory, in tracks")
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    markers, seconds = markers_of_tank(LARGE_TANK), 0.5
+    markers, seconds = markers_of_tank(ThrowingKit(tank_length=1.1, tank_height=0.62, waterline=0.32)), 0.5
     rng = generator(given.seed, "synthetic tank", TankCamera.rate)
     starts, bars = throws_for_bars(given.throws, markers, rng)
     if given.noise is not None:
@@ -344,7 +335,8 @@ def main() -> None:
         scene = TankScene(TankCamera(), markers, rng=rng)
         truth = film_throws(given.out / "throws.mp4", scene, starts, bars, seconds)
         write_csv(given.out / "truth.csv", TRUTH, truth, "%d,%.5f,%.6f,%.6f,%.5f,%.4f,%.4f,%.4f")
-        write_beside(given.out, scene.camera, markers, rng)
+        film_board(given.out / "board.mp4", scene.camera, markers, 12, rng)
+        (given.out / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False))
     print(f"{given.throws} throws of {seconds:g} s in {given.out}")
 
 

@@ -23,8 +23,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
 from pipeline.workflow.stage import AnyStage
 
-N_REPORT_FILES = 2
-"""Report files that are committed. A report has dozens, which are all alike to the store."""
+N_REPORT_FILES = 2  # that are committed; a report has dozens, which are all alike to the store
 
 
 def run_study(
@@ -38,16 +37,6 @@ def run_study(
     drive(
         settings, stages, stages=STAGES, store=store, open_cluster=open_cluster, tracker=Terminal(), progress=Terminal()
     )
-
-
-class ClusterProxy:
-    """A cluster that forwards every call; subclasses replace :meth:`submit`."""
-
-    def __init__(self, inner: Cluster) -> None:
-        self._inner = inner
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._inner, name)
 
 
 def tree(root: Path) -> dict[str, str]:
@@ -97,14 +86,12 @@ class QuickStudy:
 
     @contextlib.contextmanager
     def _cluster(self, record: Record) -> Iterator[Cluster]:
-        study = self
-
-        class LookedUp(ClusterProxy):
-            def submit(self, function: Any, *args: Any, **more: Any) -> Any:
-                return self._inner.submit(functools.partial(study._look_up, record, function), *args, **more)
-
         with serial_cluster() as serial:
-            yield LookedUp(serial)
+            submit = serial.submit
+            serial.submit = lambda function, *args, **more: submit(
+                functools.partial(self._look_up, record, function), *args, **more
+            )
+            yield serial
 
     def _look_up(self, record: Record, compute: Any, stage: Any, stage_batch: Any, jobs: Any, *rest: Any) -> Any:
         """Return what ``compute`` returns for some jobs: their files, and the seconds that they took."""

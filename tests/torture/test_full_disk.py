@@ -10,8 +10,7 @@ from mounted import mounted
 from quick_study import tree
 
 ROOT = Path(__file__).parents[2]
-ALONE = ("unshare", "--mount", "--map-root-user")
-"""Command that runs a program in its own namespace, where it may mount; it needs no privileges."""
+ALONE = ("unshare", "--mount", "--map-root-user")  # runs a program where it may mount; it needs no privileges
 
 
 def test_a_disk_of_any_size_that_fills(torture, tiny, new_folder):

@@ -29,8 +29,7 @@ pytestmark = pytest.mark.slow
 VICTIMS = ["driver", "worker", "raylet", "worker", "worker", "gcs_server"]
 """Processes to kill, in turn; `make test` stops at the driver. A worker is replaced by another; the death of any other
 ends the run."""
-PATIENCE = 600.0
-"""Longest time for a driver to notice that its cluster is dead, on a busy machine [s]."""
+PATIENCE = 600.0  # longest time for a driver to notice that its cluster is dead, on a busy machine [s]
 
 STUDY = parse(
     Settings,

@@ -6,7 +6,6 @@ import numpy as np
 import small_study
 
 from pipeline.cluster import Cluster, Outcome, Ticket, serial_cluster
-from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
 
@@ -31,14 +30,8 @@ class Shuffled:
         return picked
 
 
-def digests(settings: Settings, store: Store, cluster: Cluster) -> dict[str, list[str]]:
-    upstream = small_study.run(settings, store, cluster, STAGES[:-1], say=print)  # the page names its versions
-    assert not any(results.failed for results in upstream.values())
-    return small_study.digests(upstream)
-
-
 def test_the_same_bytes_in_whatever_order_work_ends(serial_run, torture, tmp_path):
-    """One process computes up to eight work items at a time, and returns them in random order.
+    """One process computes up to eight work items at a time, in batches of any size, and returns them in random order.
 
     The workers are simulated: work items are computed one after the other in this process, and only the driver sees
     them end as if there were several workers; tests/pipeline/workflow has real ones.
@@ -46,14 +39,11 @@ def test_the_same_bytes_in_whatever_order_work_ends(serial_run, torture, tmp_pat
     everything, n_out_of_order = small_study.digests(serial_run[1]), 0
     expected = {of: found for of, found in everything.items() if not of.startswith("report/")}
     for number, rng in enumerate(torture.attempts(1, 100)):
-        settings = cut(rng)
+        settings = small_study.one_trial(f"work.designs_per_batch={rng.integers(1, 6)}")
         with serial_cluster() as serial:
             cluster = Shuffled(serial, rng.choice([1, 2, 8]) if number else 8, rng)
-            assert digests(settings, Store.open(tmp_path / str(number), create=True), cluster) == expected
+            store = Store.open(tmp_path / str(number), create=True)
+            found = small_study.run(settings, store, cluster, STAGES[:-1], say=print)  # the page names its versions
+            assert small_study.digests(found) == expected
             n_out_of_order += cluster.out_of_order
     assert n_out_of_order
-
-
-def cut(rng: np.random.Generator) -> Settings:
-    """Split generations into batches of a random size, up to the whole population."""
-    return small_study.one_trial(f"work.designs_per_batch={rng.integers(1, 6)}")

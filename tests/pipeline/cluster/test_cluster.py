@@ -91,10 +91,6 @@ def test_a_failure_is_an_outcome_and_the_rest_goes_on(cluster):
     assert isinstance(failed.__cause__, ZeroDivisionError)
 
 
-def test_nothing_submitted_is_nothing_due(cluster):
-    assert cluster.next_done(timeout=None) is None
-
-
 def test_spread_keeps_the_order_of_its_items_and_its_failure_is_the_tasks(cluster):
     cluster.submit(nested, [1.0, 2.0, 4.0, 8.0], 16.0, n_cores=0)
     assert only(cluster) == Done([16.0, 8.0, 4.0, 2.0])
@@ -204,11 +200,7 @@ with ray_cluster(sys.argv[1]) as cluster:
     print(*cluster.next_done()[1].result, cluster.n_cores, sep="\\n", file=sys.stderr)
 """
     proxy = dict.fromkeys(("http_proxy", "https_proxy", "grpc_proxy"), "http://192.0.2.9:9")
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(sys.path),
-        "RAY_ADDRESS": "http://elsewhere:8265",
-        **proxy,
-    }
+    environment = os.environ | proxy | {"PYTHONPATH": os.pathsep.join(sys.path), "RAY_ADDRESS": "http://elsewhere:8265"}
     words = [sys.executable, "-c", driver, address_of(local_ray)]
     ran = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200)
     assert ran.returncode == 0, ran.stderr
@@ -234,10 +226,8 @@ assert hook({"working_dir": "/"})["py_executable"].startswith("uv run --no-sync"
         (tmp_path / name).write_text("raise ImportError('this is a file of the user')")
     (tmp_path / "run").write_text('shift\n"$@"\nexit $?\n')  # for the shell, whose name and first word are uv's
     words = ["uv", "run", "--no-sync", sys.executable, "-P", "-c", driver]  # -P: as the script `puddle`
-    environment = os.environ | {"RAY_ADDRESS": "http://elsewhere:8265"}
-    ran = subprocess.run(
-        words, executable="/bin/sh", cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200
-    )
+    options = {"executable": "/bin/sh", "cwd": tmp_path, "capture_output": True, "text": True, "timeout": 200}
+    ran = subprocess.run(words, env=os.environ | {"RAY_ADDRESS": "http://elsewhere:8265"}, **options)
     assert ran.returncode == 0, ran.stderr
 
 
@@ -285,7 +275,6 @@ with ray_cluster(machines.address) as cluster:
 print(*(results[ticket].result for ticket in tickets))
 machines.shutdown()
 """
-
 
 IMPATIENT = {
     "RAY_health_check_initial_delay_ms": "500",

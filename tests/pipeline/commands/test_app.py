@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from command_line import WITHOUT_MLFLOW, call, refused
 
-from pipeline.config.loading import parse
-from pipeline.config.settings import Settings
-from pipeline.errors import PuddleError
 from pipeline.store.design_file import design_json
 from pipeline.store.store import Store
 from tasks.design import random_designs
@@ -36,26 +33,21 @@ def in_environment(name: str) -> tuple[str, ...]:
     return "--environment", name, "--depth", "1"
 
 
-def check_headline(said: str, page: Path, store: str) -> None:
-    """Check what a study shows at its end: figures in 80 columns, the page's address, and commands that exist."""
-    heading, objective, scale, columns, _units, *arms, opened = said.strip().partition("\nNext:\n")[0].splitlines()
-    assert heading.startswith("Champions of study tiny in True Slush, 1 m deep")
-    assert objective == "selected for: displacement"
-    assert scale == "1/4,000 of the paper’s evolution: the figures mean nothing"
-    assert re.split("  +", columns) == ["evolved in", "depth", "zero-shot", "share", "share,", "predicted"]
-    assert [arm.split(",")[0] for arm in arms][:3] == ["True Slush", "Dry Land", "Residual Slush"]
-    assert opened == f"Open: {page.as_uri()}"
-    assert max(len(line) for line in (heading, columns, *arms)) <= 80
-    advised = [line.strip() for line in said.partition("\nNext:\n")[2].splitlines()]
-    for line, command in zip(advised, ("champions tiny", "export tiny --out tiny", "ui tiny"), strict=True):
-        assert f"puddle {command} --store {store} " in line
-
-
 def test_a_study_from_the_command_line(finished, capsys):
+    """At its end it shows figures in 80 columns, the address of its page, and commands to try next."""
     store = Path(finished[-1])
     assert call("study", "--workers", "0", *WITHOUT_MLFLOW, *finished[1:]) == 0
     page = store / "studies" / "tiny" / "report" / "index.html"
-    check_headline(capsys.readouterr().out, page, finished[-1])
+    shown, _, advised = capsys.readouterr().out.strip().partition("\nNext:\n")
+    heading, objective, scale, columns, _units, *arms, opened = shown.splitlines()
+    assert heading.startswith("Champions of study tiny in True Slush, 1 m deep") and opened == f"Open: {page.as_uri()}"
+    assert objective == "selected for: displacement" and scale.startswith("1/4,000 of the paper’s evolution")
+    assert [arm.split(",")[0] for arm in arms][:3] == ["True Slush", "Dry Land", "Residual Slush"]
+    assert max(len(line) for line in (heading, columns, *arms)) <= 80
+    for line, command in zip(
+        advised.splitlines(), ("champions tiny", "export tiny --out tiny", "ui tiny"), strict=True
+    ):
+        assert f"puddle {command} --store {store} " in line
     assert page.read_text().lower().startswith("<!doctype html>")
     assert call("status", *finished[1:]) == 0
     said = capsys.readouterr().out
@@ -148,16 +140,3 @@ def test_paths_that_cannot_be_written_are_refused_before_the_work(name, capsys, 
     os.mkfifo(tmp_path / "pipe.gif")  # opening it waits for a reader
     said = refused(capsys, "simulate", str(design), *in_environment("dry_land"), "--out", str(tmp_path / name))
     assert "--out: " in said and name in said and "store" not in said
-
-
-@pytest.mark.parametrize("grid", ["depths: [2.0, 1.0, 2.0]", "single_member_depths: [123.4567, 123.4568]"])
-def test_depths_with_the_same_label_are_refused(grid):
-    """Results are found by label: one trial's would stand for the other's."""
-    with pytest.raises(PuddleError, match=r"depths \(to six digits\) repeats a value"):
-        parse(Settings, f"grid: {{{grid}}}", name="mine")
-    assert parse(Settings, "grid: {depths: [123.456, 123.457]}", name="mine").grid.depths == (123.456, 123.457)
-
-
-def test_single_members_evolve_only_at_depths_of_the_grid():
-    settings = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three")
-    assert {depth for _, depth, _ in settings.trials()} == {3.0}

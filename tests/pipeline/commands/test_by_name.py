@@ -1,6 +1,5 @@
 """Studies addressed by their names, which take the settings on record."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +9,6 @@ from command_line import call, refused
 
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
-from pipeline.store.store import Store, StudyRecord
-
-
-def add_study(store: Store, name: str) -> None:
-    """Add a study whose settings differ from those of tiny in their name alone."""
-    record = json.loads((store.study_path("tiny") / "study.json").read_text())
-    settings = Settings.model_validate(record["settings"]).model_copy(update={"name": name})
-    store.write_study(StudyRecord(name, settings.model_dump(mode="json"), ()))
 
 
 @pytest.mark.parametrize(
@@ -67,8 +58,9 @@ def test_what_used_code_that_is_gone_is_shown_and_not_computed(store, capsys):
 
 
 def test_an_unknown_name_lists_the_studies(store, capsys):
-    add_study(store, "tiny-2")
-    add_study(store, "other")
+    record = store.read_study("tiny")
+    for name in ("tiny-2", "other"):
+        store.write_study(replace(record, name=name))
 
     def message(name: str) -> str:
         return refused(capsys, "status", name, "--store", str(store.root))
@@ -100,19 +92,14 @@ def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
     assert not Path(nowhere).exists()
 
 
-@pytest.mark.parametrize("command", ["study", "simulate"])
 @pytest.mark.parametrize(
-    "chosen",
+    "words",
     [
-        ("tiny", "--settings", "tiny.yaml"),
-        ("tiny", "--preset", "smoke"),
-        ("--preset", "laptop", "--settings", "tiny.yaml"),
+        ("study", "tiny", "--settings", "tiny.yaml"),
+        ("study", "--preset", "laptop", "--settings", "tiny.yaml"),
+        ("simulate", "docs/design.json", "--depth", "1", "--study", "tiny", "--preset", "smoke"),
     ],
 )
-def test_two_sources_of_settings_are_refused(command, chosen, capsys):
-    words = [command, *chosen]
-    if command == "simulate":
-        words[1:2] = ["--study", "tiny"] if chosen[0] == "tiny" else chosen[:1]
-        words += ["docs/design.json", "--environment", "dry_land", "--depth", "1"]
+def test_two_sources_of_settings_are_refused(words, capsys):
     said = refused(capsys, *words)
     assert "expected only one of a study's name, --preset and --settings, got " in said

@@ -12,10 +12,6 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 
 
-def tiny() -> Settings:
-    return parse(Settings, ON_DRY_LAND, name="tiny")
-
-
 def test_every_check_passes_where_the_tests_run(options, capsys):
     assert call("doctor", "--workers", "0", *options) == 0
     found = [line.split()[:2] for line in capsys.readouterr().out.splitlines() if not line.startswith(" ")]
@@ -45,11 +41,12 @@ def test_problems_are_found_and_named(tmp_path, monkeypatch, capsys):
 
 def test_finished_work_needs_no_disk_space(store, tmp_path, monkeypatch):
     """Half of the space that a whole study needs is enough for the rest of one that is nearly done."""
-    free = int(doctor._SPARE_BYTES + sum(one.n_bytes for one in doctor.forecast_stages(tiny())) / 2)
+    tiny = parse(Settings, ON_DRY_LAND, name="tiny")
+    free = int(doctor._SPARE_BYTES + sum(one.n_bytes for one in doctor.forecast_stages(tiny)) / 2)
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
-    assert doctor._disk(tiny(), tmp_path / "new").verdict == "fail"
+    assert doctor._disk(tiny, tmp_path / "new").verdict == "fail"
     free = 0
-    found = doctor._disk(tiny(), store.root)
+    found = doctor._disk(tiny, store.root)
     assert found.verdict == "ok" and found.found.endswith("study tiny is done")
 
 

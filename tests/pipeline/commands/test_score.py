@@ -68,9 +68,6 @@ def test_bad_arguments(designs, capsys, arguments, said):
 
 
 def test_the_designs_are_not_overwritten(designs, capsys):
-    before = designs.read_bytes()
-    at = ["--environment", "dry_land", "--depth", "1"]
-    assert "expected another file than the designs'" in refused(
-        capsys, "score", str(designs), *at, "--out", str(designs)
-    )
-    assert designs.read_bytes() == before
+    before, at = designs.read_bytes(), ("--environment", "dry_land", "--depth", "1")
+    said = refused(capsys, "score", str(designs), *at, "--out", str(designs))
+    assert "expected another file than the designs'" in said and designs.read_bytes() == before

@@ -33,7 +33,7 @@ throws: {source: tracks}
 
 
 @pytest.fixture(scope="module")
-def collected(tmp_path_factory) -> tuple[Path, list[str]]:
+def folder(tmp_path_factory) -> Path:
     """A folder with tracks, settings and a store in which they are collected."""
     folder = tmp_path_factory.mktemp("tank")
     write_tracks(*filmed(4, seconds=0.5), folder / "tracks.csv")
@@ -42,7 +42,7 @@ def collected(tmp_path_factory) -> tuple[Path, list[str]]:
     with pytest.MonkeyPatch.context() as briefly:
         briefly.setitem(residual_transitions.__kwdefaults__, "n_iterations", 10)
         assert call("collect", "--tracks", str(folder / "tracks.csv"), *options, *WITHOUT_MLFLOW) == 0
-    return folder, options
+    return folder
 
 
 def keys(settings) -> dict[str, str]:
@@ -50,9 +50,8 @@ def keys(settings) -> dict[str, str]:
     return {of: COLLECT.item(settings, chain, 0, None, {}).key for of, chain in labelled(chains).items()}
 
 
-def test_robots_of_tracks_are_tested_in_the_model_of_the_tank(collected, tmp_path, capsys) -> None:
+def test_robots_of_tracks_are_tested_in_the_model_of_the_tank(folder, tmp_path, capsys) -> None:
     """With one member, the model is what the robots evolved in: they get as far as predicted, to rounding."""
-    folder, _ = collected
     shutil.copytree(folder / "store", tmp_path / "store")
     where = ("tank", "--store", str(tmp_path / "store"), "--workers", "0")
     assert call("study", *where, *WITHOUT_MLFLOW) == 0
@@ -81,12 +80,11 @@ def test_robots_of_tracks_are_tested_in_the_model_of_the_tank(collected, tmp_pat
     assert kept.target == "flowing_slush"
 
 
-def test_the_slush_stays_where_it_is_asked_for(collected) -> None:
+def test_the_slush_stays_where_it_is_asked_for(folder) -> None:
     def target(*overrides: str) -> str:
         options = {"settings_file": folder / "plain.yaml", "tracks": folder / "tracks.csv"}
         return StudyOptions(**options, overrides=list(overrides)).settings().target
 
-    folder, _ = collected
     assert target() == "tank_model"
     smoke = StudyOptions(preset="smoke", tracks=folder / "tracks.csv").settings()
     assert (smoke.target, smoke.grid.environments) == ("tank_model", ("dry_land", "residual_slush"))
@@ -95,8 +93,7 @@ def test_the_slush_stays_where_it_is_asked_for(collected) -> None:
         target("grid.environments=[designed_throws]")
 
 
-def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_path) -> None:
-    folder, _ = collected
+def test_the_key_is_that_of_the_content_wherever_the_file_lies(folder, tmp_path) -> None:
     settings = open_study("tank", folder / "store").settings
     for name in ("tracks.csv", "tracks-bars.csv"):
         shutil.copy(folder / name, tmp_path / name)
@@ -111,24 +108,21 @@ def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_pa
 
 
 @pytest.mark.parametrize("bars", ["tracks-bars.csv", "tracks.csv-bars.csv"])
-def test_the_bars_lie_beside_a_compressed_file(bars, collected, tmp_path) -> None:
-    folder, _ = collected
+def test_the_bars_lie_beside_a_compressed_file(bars, folder, tmp_path) -> None:
     (tmp_path / "tracks.csv.gz").write_bytes(gzip.compress((folder / "tracks.csv").read_bytes()))
     shutil.copy(folder / "tracks-bars.csv", tmp_path / bars)
     settings = with_tracks(open_study("tank", folder / "store").settings, tmp_path / "tracks.csv.gz")
     assert settings.throws.n_throws == 4 and settings.tracks.bars == str(tmp_path / bars)
 
 
-def test_the_file_may_be_named_beside_other_settings_of_tracks(collected) -> None:
-    folder, _ = collected
+def test_the_file_may_be_named_beside_other_settings_of_tracks(folder) -> None:
     changed = ["tracks.angle_unit=deg", "tracks.flip_x=true"]
     options = StudyOptions(settings_file=folder / "plain.yaml", overrides=changed, tracks=folder / "tracks.csv")
     tracks = options.settings().tracks
     assert (tracks.file, tracks.angle_unit, tracks.flip_x) == (str(folder / "tracks.csv"), "deg", True)
 
 
-def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(collected, capsys) -> None:
-    folder, _ = collected
+def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(folder, capsys) -> None:
     file = folder / "tracks.csv"
     content, words = file.read_bytes(), ("collect", "tank", "--store", str(folder / "store"))
     file.unlink()
@@ -142,9 +136,9 @@ def test_what_is_collected_needs_no_file_and_one_that_changed_is_refused(collect
         file.write_bytes(content)
 
 
-def test_what_was_dropped_and_repaired_is_said(collected) -> None:
+def test_what_was_dropped_and_repaired_is_said(folder) -> None:
     """Every other picture is shown twice, and angles are those of ellipses."""
-    settings = open_study("tank", collected[0] / "store").settings
+    settings = open_study("tank", folder / "store").settings
     table, bars = filmed(4, rate=120.0)
     shown = np.arange(len(table.time)) // 2 * 2
     assert (table.throw[shown] == table.throw).all()
@@ -155,12 +149,6 @@ def test_what_was_dropped_and_repaired_is_said(collected) -> None:
     assert f"{len(shown) // 2} frames at 60 a second" in lines[0]
     assert any(line.startswith(f"warning: {len(shown) // 2} more frames were dropped") for line in lines)
     assert any("angles are known up to half a turn" in line for line in lines)
-
-
-def edit(folder: Path, file: str, old: str, new: str) -> None:
-    text = (folder / file).read_text()
-    assert old in text
-    (folder / file).write_text(text.replace(old, new, 1))
 
 
 @pytest.mark.parametrize(
@@ -175,13 +163,13 @@ def edit(folder: Path, file: str, old: str, new: str) -> None:
     ],
 )
 def test_bad_tracks_are_refused_before_anything_is_written(
-    edits, overrides, message: str, collected, tmp_path, capsys
+    edits, overrides, message: str, folder, tmp_path, capsys
 ) -> None:
-    folder, _ = collected
     for name in ("tracks.csv", "tracks-bars.csv"):
         shutil.copy(folder / name, tmp_path / name)
     if edits:
-        edit(tmp_path, *edits)
+        file, old, new = edits
+        (tmp_path / file).write_text((tmp_path / file).read_text().replace(old, new, 1))
     (tmp_path / "settings.yaml").write_text(SETTINGS.replace("tracks.csv", str(tmp_path / "tracks.csv")))
     options = ["--settings", str(tmp_path / "settings.yaml"), "--store", str(tmp_path / "store"), "--workers", "0"]
     said = refused(capsys, "collect", *options, *(word for one in overrides for word in ("--set", one)))
@@ -197,8 +185,7 @@ def test_the_sample_of_the_documentation_fits_the_preset() -> None:
     assert paths is not None and len(paths.throw) == 50
 
 
-def test_tracks_without_bars(collected, tmp_path, capsys) -> None:
-    folder, _ = collected
+def test_tracks_without_bars(folder, tmp_path, capsys) -> None:
     options = ["--settings", str(folder / "plain.yaml"), "--store", str(tmp_path / "store"), "--workers", "0"]
     shutil.copy(folder / "tracks.csv", tmp_path / "tracks.csv")
     said = refused(capsys, "collect", "--tracks", str(tmp_path / "tracks.csv"), *options)

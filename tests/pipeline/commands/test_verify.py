@@ -23,12 +23,6 @@ def damage_a_history(store: Store) -> tuple[Path, bytes]:
     return path, good
 
 
-def lose_a_manifest(store: Store) -> Path:
-    lost = min(store.root.glob("items/evolve/*/*/manifest.json"))
-    lost.unlink()
-    return lost
-
-
 def make_newer(document: Path) -> None:
     """Seal a document with the next schema version."""
     found = json.loads(document.read_text())
@@ -82,10 +76,6 @@ def test_damage_is_named_even_if_the_record_is_unreadable(newer, options, where,
     assert call("verify", *where) == (1 if newer else 0)
 
 
-def make_a_manifest_newer(store: Store) -> None:
-    make_newer(next(store.root.glob("items/analyse/*/*/manifest.json")))
-
-
 def put_a_file_for_a_folder(store: Store) -> None:
     """Hide a folder of items, so that looking for a listed item fails."""
     prefix = next(store.root.glob("items/analyse/*"))
@@ -95,11 +85,15 @@ def put_a_file_for_a_folder(store: Store) -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "expected"),
-    [(make_a_manifest_newer, "A newer puddle wrote it"), (put_a_file_for_a_folder, "Not a directory")],
+    [
+        (lambda store: make_newer(min(store.root.glob("items/analyse/*/*/manifest.json"))), "A newer puddle wrote it"),
+        (put_a_file_for_a_folder, "Not a directory"),
+    ],
 )
 def test_problems_that_discarding_does_not_repair_hide_no_others(spoil, expected, where, store, capsys):
     spoil(store)
-    lost = lose_a_manifest(store)
+    lost = min(store.root.glob("items/evolve/*/*/manifest.json"))
+    lost.unlink()
     assert call("verify", *where) == 1
     said = capsys.readouterr().out
     assert expected in said

@@ -67,7 +67,6 @@ def quiet(store: Path) -> Tracker:
 
 @pytest.fixture
 def store(tmp_path) -> Path:
-    """A store's folder, as far as the mirror knows one."""
     return tmp_path
 
 
@@ -82,21 +81,12 @@ def runs(store: Path):
 
 
 def everything(store: Path):
-    """All that MLflow holds."""
-    mlflow = client(store)
-    return {
-        run.info.run_id: (
-            (run.info.status, run.info.start_time, run.info.end_time),
-            run.data.params,
-            run.data.tags,
-            {
-                name: [(m.step, m.value, m.timestamp) for m in mlflow.get_metric_history(run.info.run_id, name)]
-                for name in run.data.metrics
-            },
-            sorted(one.path for one in mlflow.list_artifacts(run.info.run_id)),
-        )
-        for run in runs(store).values()
-    }
+    """All that MLflow holds, except files."""
+    history, held = client(store).get_metric_history, {}
+    for slot, run in runs(store).items():
+        points = {name: list(map(dict, history(run.info.run_id, name))) for name in run.data.metrics}
+        held[slot] = dict(run.info), run.data.to_dictionary(), points
+    return held
 
 
 def curve(store: Path, trial: str, name: str = "fitness") -> dict[int, float]:
@@ -272,9 +262,6 @@ def test_files_are_added_to_a_run_and_sent_once(store, monkeypatch):
     assert (trial / "films/swim.mp4").read_bytes() == b"film" and (trial / "champion.json").read_bytes() == b"{}"
 
 
-# -- what users' machines do to it -----------------------------------------------------------------------------------
-
-
 def test_a_deleted_experiment_is_restored(store):
     quiet(store).mirror(STUDY, STAGE)
     mlflow = client(store)
@@ -334,9 +321,6 @@ def test_a_database_that_mlflow_cannot_use_is_one_sentence(store, sound_database
         assert told.startswith(f"{store / 'mlflow.db'}: ") and reason in told and len(told.splitlines()) == 1
 
 
-# -- servers that want a certificate or a password -------------------------------------------------------------------
-
-
 @pytest.fixture
 def secure_server(tmp_path) -> Iterator[tuple[str, Path, list[str | None]]]:
     """A server with a certificate that it signed itself: its host, the certificate, and the passwords it was given."""
@@ -388,9 +372,6 @@ def test_a_server_is_asked_as_mlflow_asks_and_no_password_is_shown(secure_server
 )
 def test_no_password_of_a_uri_is_shown(text, shown):
     assert without_password(text) == shown
-
-
-# -- what is sound is not to be deleted ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -10,19 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
-from pipeline.report.films import (
-    GIF_EVERY,
-    GROUND,
-    LANE_HEIGHT,
-    PARTICLE,
-    PICTURE_WIDTH,
-    SKY,
-    SLUSH,
-    SURFACE,
-    pictures,
-    render_gif,
-    render_mp4,
-)
+from pipeline.report import films
+from pipeline.report.films import LANE_HEIGHT, PICTURE_WIDTH, SLUSH, pictures, render_gif, render_mp4
 from pipeline.report.palette import LOOKS
 from pipeline.report.replay import FILM_FPS, link_corners
 from tasks.world.medium import Scene
@@ -31,13 +20,11 @@ pytestmark = pytest.mark.slow
 
 
 def count(picture, color, tolerance=0):
-    """Count the pixels of a colour."""
     rgb = ImageColor.getrgb(color) if isinstance(color, str) else color
     return int((np.abs(np.asarray(picture.convert("RGB")).astype(int) - rgb) <= tolerance).all(axis=2).sum())
 
 
 def blend(first, second, share):
-    """Mix two colours."""
     return np.array(ImageColor.getrgb(first)) * (1 - share) + np.array(ImageColor.getrgb(second)) * share
 
 
@@ -45,12 +32,12 @@ def test_two_robots_above_one_another(slush_replay, dry_replay):
     color = LOOKS["dry_land"].color
     picture = Image.open(io.BytesIO(render_gif([slush_replay, replace(dry_replay, color=color)])))
     assert picture.size == (PICTURE_WIDTH, 2 * LANE_HEIGHT)
-    assert picture.n_frames == int(slush_replay.duration * FILM_FPS / GIF_EVERY) + 1  # the longer of the two
-    assert (picture.info["duration"], picture.info["loop"]) == (1000 * GIF_EVERY / FILM_FPS, 0)
+    assert picture.n_frames == int(slush_replay.duration * FILM_FPS / films.GIF_EVERY) + 1  # the longer of the two
+    assert (picture.info["duration"], picture.info["loop"]) == (1000 * films.GIF_EVERY / FILM_FPS, 0)
     upper, lower = (picture.crop((0, top, PICTURE_WIDTH, top + LANE_HEIGHT)) for top in (0, LANE_HEIGHT))
     assert count(upper, SLUSH, 3) > 0.2 * PICTURE_WIDTH * LANE_HEIGHT and count(lower, SLUSH, 3) == 0
-    assert count(lower, GROUND, 3) > 0.05 * PICTURE_WIDTH * LANE_HEIGHT
-    assert count(upper, SKY, 3) > 0 < count(lower, SKY, 3) and count(lower, color, 9) > 200
+    assert count(lower, films.GROUND, 3) > 0.05 * PICTURE_WIDTH * LANE_HEIGHT
+    assert count(upper, films.SKY, 3) > 0 < count(lower, films.SKY, 3) and count(lower, color, 9) > 200
 
 
 def test_slush_lies_over_the_robot(slush_replay):
@@ -72,13 +59,13 @@ def test_water_shows_its_waves_and_particles(slush_replay):
         for left in (PICTURE_WIDTH // 2 + d for d in (-20, 10))
     )
     assert crest > trough + 200
-    assert count(picture, blend(PARTICLE, SLUSH, 0.45), 20) > 10
+    assert count(picture, blend(films.PARTICLE, SLUSH, 0.45), 20) > 10
 
 
 def test_hallucinated_slush_has_a_dashed_surface(slush_replay):
     """Dashes of 4 line widths in 7."""
     real, hallucinated = (
-        count(next(pictures([replace(slush_replay, hallucinated=hallucinated)])), SURFACE, 9)
+        count(next(pictures([replace(slush_replay, hallucinated=hallucinated)])), films.SURFACE, 9)
         for hallucinated in (False, True)
     )
     assert real >= 0.8 * PICTURE_WIDTH and hallucinated / real == pytest.approx(4 / 7, abs=0.1)

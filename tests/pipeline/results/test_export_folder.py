@@ -13,25 +13,13 @@ from command_line import call, refused
 import puddle
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
-from pipeline.report import page
-from pipeline.report.study_page import FIGURES
 from pipeline.results.export_folder import LARGE_TABLES
 from pipeline.store.design_file import design_json, load_design
 from tasks.residual import arm_kind
 
-pytestmark = pytest.mark.usefixtures("one_figure")
-
 
 @pytest.fixture(scope="module")
-def one_figure():
-    """All figures take ten seconds; tests/pipeline/report draws them."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "FIGURES", {"transfer_at_depth": FIGURES["transfer_at_depth"]})
-        yield
-
-
-@pytest.fixture(scope="module")
-def exported(one_figure, recorded, tmp_path_factory) -> Path:
+def exported(recorded, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("export") / "out"
     assert call("export", "tiny", "--out", str(out), "--store", str(recorded)) == 0
     return out
@@ -76,7 +64,8 @@ def test_tables_are_those_of_the_study(exported, recorded):
 
 def test_figures_and_latex_are_there_and_settings_load(exported, settings):
     names = {path.name for path in (exported / "figures").iterdir()}
-    assert names == {"transfer_at_depth.svg", "transfer_at_depth.png", "transfer_at_depth.pdf", "captions.txt"}
+    drawn = {f"{name}.{kind}" for name in ("transfer_at_depth", "fitness_curves") for kind in ("svg", "png", "pdf")}
+    assert names == {*drawn, "captions.txt"}
     assert (exported / "figures" / "captions.txt").read_text().startswith("transfer_at_depth: Displacement in True")
     assert r"\begin{tabular}" in (exported / "transfer.tex").read_text()
     assert load(Settings, exported / "settings.yaml") == settings
@@ -112,18 +101,12 @@ def test_a_study_that_has_only_begun_exports_what_is_done_and_says_what_is_missi
     assert "no champions" in capsys.readouterr().err
 
 
-# -- what is refused -------------------------------------------------------------------------------------------------
-
-
 def test_a_table_that_the_study_does_not_have_is_refused(recorded, tmp_path, capsys):
     out = tmp_path / "out"
     said = refused(capsys, "export", "tiny", "--out", str(out), "--store", str(recorded), "--table", "history")
     assert "study tiny has no table history" in said and "champions, histories" in said and not out.exists()
     inside = refused(capsys, "export", "tiny", "--out", str(recorded / "out"), "--store", str(recorded))
     assert "outside the store" in inside
-
-
-# -- champions -------------------------------------------------------------------------------------------------------
 
 
 def test_champions_are_ranked_by_what_they_do_in_true_slush(recorded, capsys):
@@ -133,5 +116,5 @@ def test_champions_are_ranked_by_what_they_do_in_true_slush(recorded, capsys):
     ranked = sorted(champions, key=lambda row: -row["zero_shot"])
     labels = [arm_kind(row["environment"]).label.split()[0] for row in ranked]
     found = [line for line in printed.splitlines() if line.startswith(tuple(labels))]
-    assert [line.startswith(label) for line, label in zip(found, labels, strict=True)] == [True] * len(ranked)
+    assert all(line.startswith(label) for line, label in zip(found, labels, strict=True))
     assert all(len(line) <= 80 for line in printed.splitlines() if "`" not in line)

@@ -8,7 +8,7 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-from small_study import run
+from small_study import run, tiny
 
 import puddle
 from pipeline.cluster import serial_cluster
@@ -31,6 +31,16 @@ ARMS = ("true_slush", "dry_land", "residual_slush", "single_member")
 @pytest.fixture(scope="module")
 def opened(recorded):
     return puddle.open_study("tiny", store=str(recorded))
+
+
+@pytest.fixture
+def store(recorded, tmp_path) -> Store:
+    """A copy of the store, to be changed."""
+    return Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
+
+
+def record_settings(store: Store, settings: dict) -> None:
+    store.write_study(replace(store.read_study("tiny"), settings=settings))
 
 
 def test_settings_and_progress_are_those_of_the_record(opened, settings):
@@ -59,30 +69,24 @@ def test_networks_that_learn_without_a_study_are_those_of_the_study(opened, sett
             puddle.throw(environment)
 
 
-def test_progress_tells_failed_from_missing(recorded, tmp_path):
-    root = shutil.copytree(recorded, tmp_path / "store")
-    store = Store.open(root, create=False)
+def test_progress_tells_failed_from_missing(store):
     record = store.read_study("tiny")
     evolved = [item for item in record.items if item.stage == "evolve"]
     of_two = [item for item in evolved if item.label.startswith(("true_slush/1m/trial-0#1", "dry_land/1m/trial-1#1"))]
     for item in of_two:  # the second segment of both trials
         store.discard(item.stage, item.key)
     store.write_study(replace(record, failed=(FailedChain("evolve", "true_slush/1m/trial-0", "its worker died"),)))
-    found = open_study("tiny", root).progress
+    found = open_study("tiny", store.root).progress
     assert found["evolve"] == StageProgress(done=14, failed=1, missing=1)
     assert found["collect"].missing == found["train"].missing == 0
 
 
-def test_what_is_on_record_is_read_although_something_before_it_was_lost(recorded, opened, tmp_path):
-    root = shutil.copytree(recorded, tmp_path / "store")
-    store = Store.open(root, create=False)
+def test_what_is_on_record_is_read_although_something_before_it_was_lost(store, opened):
+    lost = (("evolve", "true_slush/1m/trial-0#0"), ("train", "residual_slush/member-00#0"))
     for item in store.read_study("tiny").items:
-        if item.label in ("true_slush/1m/trial-0#0", "residual_slush/member-00#0") and item.stage in (
-            "evolve",
-            "train",
-        ):
+        if (item.stage, item.label) in lost:
             store.discard(item.stage, item.key)
-    found = open_study("tiny", root)
+    found = open_study("tiny", store.root)
     assert found.progress["evolve"] == StageProgress(done=15, failed=0, missing=1)
     assert found.progress["transfer"] == StageProgress(done=8, failed=0, missing=0)
     assert found.champions() == opened.champions()
@@ -124,22 +128,31 @@ def test_filters_select_what_polars_would(opened):
 
 
 def test_a_champion_scores_again_what_the_table_says(opened, settings):
-    champions = opened.champions()
+    champions, slush = opened.champions(), TrueSlush(depth=1.0)
     assert champions.column_names[:6] == [*KEYS, "predicted", "zero_shot", "adapted"]
     assert champions.column_names[-1] == "design_json"  # after the numbers
     assert len(champions) == len(ARMS) * N_TRIALS
+    steps = {"n_settle": settings.rollout.n_settle, "n_measure": settings.rollout.n_measure}
     for row in champions.to_pylist():
-        assert (row["adapted"] is None) == (row["environment"] != "dry_land")
-        champion = opened.champion(row["environment"], depth=1.0, trial=row["trial"])
+        at = {key: row[key] for key in KEYS}
+        champion = opened.champion(**at)
         assert len(champion) == 1 and design_json(champion).decode() == row["design_json"]
+        predicted = opened.simulate(champion, **at).displacement
         if row["environment"] == "residual_slush":
-            under = opened.simulate(champion, "residual_slush", depth=1.0).displacement
-            assert (under.mean(), under.std()) == (row["predicted"], row["predicted_sd"])
-            assert row["fitness"] == pytest.approx(under.mean() - under.std(), rel=1e-12)
+            assert (predicted.mean(), predicted.std()) == (row["predicted"], row["predicted_sd"])
+            assert row["fitness"] == pytest.approx(predicted.mean() - predicted.std(), rel=1e-12)
         else:
+            assert predicted.mean() == pytest.approx(row["predicted"], abs=1e-9)
             assert row["fitness"] == row["predicted"] and row["predicted_sd"] is None
-        history = opened.table("histories", **{key: row[key] for key in KEYS})
-        assert pc.max(history["fitness"]).as_py() == row["fitness"]
+        assert pc.max(opened.table("histories", **at)["fitness"]).as_py() == row["fitness"]
+        assert opened.simulate(champion, "true_slush", depth=1.0).displacement[0] == row["zero_shot"]
+        assert simulate(champion, slush, **steps).displacement[0] == row["zero_shot"]
+        assert (row["adapted"] is None) == (row["environment"] != "dry_land")
+        if row["adapted"] is not None:
+            adapted = opened.champion(**at, adapted=True)
+            assert opened.simulate(adapted, "true_slush", depth=1.0).displacement[0] == row["adapted"]
+    with pytest.raises(PuddleError, match=r"environment: expected one of true_slush, .*, got 'honey'"):
+        opened.simulate(champion, "honey", depth=1.0)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +171,7 @@ def test_what_is_not_there_is_refused(opened, name, given, message):
         opened.table(name, **given)
 
 
-def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_path, recorded):
+def test_a_study_that_has_only_begun_has_progress_and_no_tables(tmp_path, recorded):
     shutil.copytree(recorded, tmp_path / "store", ignore=shutil.ignore_patterns("items"))
     begun = open_study("tiny", tmp_path / "store")
     assert begun.progress["evolve"] == StageProgress(done=0, failed=0, missing=16) and begun.tables == []
@@ -172,45 +185,22 @@ def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_pa
         begun.ensemble()
 
 
-def test_designs_are_simulated_as_in_the_study(opened, settings):
-    steps = {"n_settle": settings.rollout.n_settle, "n_measure": settings.rollout.n_measure}
-    for row in opened.champions().to_pylist():
-        at = {name: row[name] for name in KEYS}
-        champion = opened.champion(**at)
-        here = opened.simulate(champion, **at)
-        assert here.displacement.mean() == pytest.approx(row["predicted"], abs=1e-9)
-        assert opened.simulate(champion, "true_slush", depth=row["depth"]).displacement[0] == row["zero_shot"]
-        assert simulate(champion, TrueSlush(depth=row["depth"]), **steps).displacement[0] == row["zero_shot"]
-        if row["adapted"] is not None:
-            adapted = opened.champion(**at, adapted=True)
-            assert opened.simulate(adapted, "true_slush", depth=row["depth"]).displacement[0] == row["adapted"]
-    with pytest.raises(PuddleError, match=r"environment: expected one of true_slush, .*, got 'honey'"):
-        opened.simulate(champion, "honey", depth=1.0)
-
-
-def test_a_study_with_settings_of_a_stage_that_is_gone_opens(settings, recorded, opened, tmp_path):
-    store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
+def test_a_study_with_settings_of_a_stage_that_is_gone_opens(settings, store, opened):
     older = {**settings.model_dump(mode="json"), "pilot": {"n_generations": 50, "most_outside": 0.2}}
-    store.write_study(replace(store.read_study("tiny"), settings=older))
+    record_settings(store, older)
     found = open_study("tiny", store.root)
     assert found.settings == settings and found.champions() == opened.champions()
 
 
-def test_keys_are_refused_together(settings, recorded, tmp_path):
-    store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
-    grid = settings.grid.model_copy(update={"depths": (1.0, 9.0)})
-    deeper = settings.model_copy(update={"grid": grid}).model_dump(mode="json")
-    store.write_study(replace(store.read_study("tiny"), settings=deeper))
+def test_keys_are_refused_together(store):
+    record_settings(store, tiny("grid.depths=[1, 9]").model_dump(mode="json"))
     with pytest.raises(PuddleError, match=r"environment single_member: depth: expected one of 1, got 9\.0"):
         open_study("tiny", store.root).champion("single_member", depth=9.0, trial=0)
 
 
-def test_items_that_settings_no_longer_lead_to_are_counted(settings, recorded, opened, tmp_path):
+def test_items_that_settings_no_longer_lead_to_are_counted(store, opened):
     """Every trial evolved in two segments, and settings of fewer generations have one."""
-    store = Store.open(shutil.copytree(recorded, tmp_path / "store"), create=False)
-    evolution = settings.evolution.model_copy(update={"n_generations": 3})
-    fewer = settings.model_copy(update={"evolution": evolution}).model_dump(mode="json")
-    store.write_study(replace(store.read_study("tiny"), settings=fewer))
+    record_settings(store, tiny("evolution.n_generations=3").model_dump(mode="json"))
     found = open_study("tiny", store.root)
     assert found.progress["evolve"] == StageProgress(done=16, failed=0, missing=0)
     assert found.champions() == opened.champions()
@@ -218,27 +208,22 @@ def test_items_that_settings_no_longer_lead_to_are_counted(settings, recorded, o
     assert (status.state, status.n_done, status.n_items) == ("done", 16, 16)
 
 
-def test_a_damaged_history_is_named(recorded, tmp_path):
-    root = shutil.copytree(recorded, tmp_path / "store")
-    record = Store.open(root, create=False).read_study("tiny")
-    item = next(item for item in record.items if item.stage == "evolve")
-    history = root / "items" / "evolve" / item.key[:2] / item.key / "history.parquet"
+def test_a_damaged_history_is_named(store):
+    history = min(store.root.glob("items/evolve/*/*/history.parquet"))
     history.write_bytes(history.read_bytes()[:-1] + b"x")
     with pytest.raises(DamagedArtifact, match=r"history\.parquet: expected SHA-256"):
-        open_study("tiny", root).table("histories")
+        open_study("tiny", store.root).table("histories")
 
 
-def test_a_study_is_read_by_its_recorded_keys(settings, recorded, opened, tmp_path):
+def test_a_study_is_read_by_its_recorded_keys(store, opened):
     """Where today's settings lead to another study's results, the recorded ones are shown, and a warning says so."""
-    root = shutil.copytree(recorded, tmp_path / "store")
-    store = Store.open(root, create=False)
-    other = settings.model_copy(update={"seed": 7})
+    other = tiny("seed=7")
     with serial_cluster() as cluster:  # what the settings below lead to
         run(other, store, cluster, STAGES[:-1])
-    store.write_study(replace(store.read_study("tiny"), settings=other.model_dump(mode="json")))
+    record_settings(store, other.model_dump(mode="json"))
     note = "shown as it was recorded.*results of collect, train, evolve, adapt, assess, analyse;"
     with pytest.warns(UserWarning, match=note):
-        found = puddle.open_study("tiny", store=root)
+        found = puddle.open_study("tiny", store=store.root)
     assert found.champions() == opened.champions()
     assert found.table("histories")["fitness"] == opened.table("histories")["fitness"]
     weights = [ensemble.weights[0] for ensemble in (found.ensemble(), opened.ensemble())]

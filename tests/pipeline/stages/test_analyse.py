@@ -128,4 +128,3 @@ def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_
     assert {"scores.csv", "paper.csv", "exploiters.csv"} <= set(summary.artifacts)
     metrics = ("accuracy.r.mean", "accuracy.slope.mean_less_1_sd", "hallucinated.worst_champion")
     assert {"m.residual_slush", "share.residual_slush", *metrics} <= set(summary.metrics)
-    assert max(map(len, summary.lines)) <= 100

@@ -20,29 +20,24 @@ def curve(n_diverged: list[int], *, best: float = 1.0) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("n_diverged", "best", "said"),
+    ("describe", "n_diverged", "best", "said"),
     [
-        ([0, 0, 0], 1.0, None),
-        ([0, 3, 9], 1.0, "12 of 1,500 designs diverged and were discarded; the first in generation 8"),
-        ([1, 0], 1.0, "1 of 1,000 designs diverged and was discarded; in generation 7"),
-        ([500, 499], -3.0, "999 of 1,000 designs diverged and were discarded; the first in generation 7"),
-        ([500, 500], -np.inf, NO_CHAMPION),
+        (in_trial, [0, 0, 0], 1.0, None),
+        (in_trial, [0, 3, 9], 1.0, "12 of 1,500 designs diverged and were discarded; the first in generation 8"),
+        (in_trial, [1, 0], 1.0, "1 of 1,000 designs diverged and was discarded; in generation 7"),
+        (in_trial, [500, 499], -3.0, "999 of 1,000 designs diverged and were discarded; the first in generation 7"),
+        (in_trial, [500, 500], -np.inf, NO_CHAMPION),
+        (
+            in_adaptation,
+            [0, 1],
+            1.0,
+            "1 of 1,000 designs of the adaptation diverged and was discarded; in generation 8",
+        ),
+        (in_adaptation, [500], -np.inf, "not adapted: every design of the adaptation diverged"),
     ],
 )
-def test_trials(n_diverged, best, said):
-    assert in_trial(curve(n_diverged, best=best)) == said
-
-
-@pytest.mark.parametrize(
-    ("n_diverged", "best", "said"),
-    [
-        ([0, 0], 1.0, None),
-        ([0, 2], 1.0, "2 of 1,000 designs of the adaptation diverged and were discarded; the first in generation 8"),
-        ([500], -np.inf, "not adapted: every design of the adaptation diverged"),
-    ],
-)
-def test_adaptations(n_diverged, best, said):
-    assert in_adaptation(curve(n_diverged, best=best)) == said
+def test_trials_and_adaptations(describe, n_diverged, best, said):
+    assert describe(curve(n_diverged, best=best)) == said
 
 
 @pytest.mark.parametrize(

@@ -44,12 +44,8 @@ def studied(tmp_path_factory):
 def test_champions_are_scored_in_each_engine(studied):
     """Means over trials are those of simulations by hand, and Box2D's are the study's usual scores."""
     table = studied.table("engines").to_pylist()
-    assert [(row["environment"], row["engine"]) for row in table] == [
-        ("true_slush", "Box2D"),
-        ("true_slush", "mujoco"),
-        ("dry_land", "Box2D"),
-        ("dry_land", "mujoco"),
-    ]
+    arms = [(row["environment"], row["engine"]) for row in table]
+    assert arms == [(of, engine) for of in ("true_slush", "dry_land") for engine in ("Box2D", "mujoco")]
     for row in table:
         engine = row["engine"].replace("Box2D", "batch")
         champions = [studied.champion(row["environment"], depth=1.0, trial=trial) for trial in range(2)]
@@ -71,10 +67,9 @@ def test_without_other_engines_nothing_is_new():
 def test_a_package_that_is_missing_is_named_before_the_study_begins(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     store = tmp_path / "store"
-    said = refused(capsys, "study", "--preset", "smoke", "--store", str(store), "--set", BOTH[0])
-    assert "run `make setup EXTRAS=mujoco`" in said and not store.exists()
-    said = refused(capsys, "study", "--preset", "smoke", "--store", str(store), "--set", "target=mujoco_fluid")
-    assert "run `make setup EXTRAS=mujoco`" in said and not store.exists()
+    for asked in (*BOTH, "target=mujoco_fluid"):
+        said = refused(capsys, "study", "--preset", "smoke", "--store", str(store), "--set", asked)
+        assert "run `make setup EXTRAS=mujoco`" in said and not store.exists()
 
 
 def test_bars_are_thrown_and_robots_scored_in_the_target_s_engine(tmp_path):
@@ -92,16 +87,8 @@ def test_bars_are_thrown_and_robots_scored_in_the_target_s_engine(tmp_path):
 
 def test_a_film_is_of_the_engine_asked_for(studied, tmp_path):
     save_design(studied.champion("dry_land", depth=1.0, trial=0), tmp_path / "d.json")
-    common = [
-        "simulate",
-        str(tmp_path / "d.json"),
-        "--depth",
-        "1",
-        "--preset",
-        "smoke",
-        "--set",
-        "rollout.n_measure=30",
-    ]
+    settings = ("--preset", "smoke", "--set", "rollout.n_measure=30", "--depth", "1")
     for engine in ("batch", "mujoco"):
-        assert call(*common, "--engine", engine, "--out", str(tmp_path / f"{engine}.gif")) == 0
+        film = ("--engine", engine, "--out", str(tmp_path / f"{engine}.gif"))
+        assert call("simulate", str(tmp_path / "d.json"), *settings, *film) == 0
     assert (tmp_path / "batch.gif").read_bytes() != (tmp_path / "mujoco.gif").read_bytes()

@@ -8,7 +8,7 @@ from html import unescape
 
 import numpy as np
 import pytest
-from small_study import run
+from small_study import inputs_of, run
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
@@ -32,8 +32,7 @@ def page_of(settings, tmp_path, all_figures):
         assert not any(results.failed for results in upstream.values())
         chain = next(chain for chain in REPORT.plan(changed) if chain.label == PAGE)
         item = REPORT.item(changed, chain, 0, None, upstream)
-        inputs = {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
-        return REPORT.compute(item, inputs)[PAGE].decode()
+        return REPORT.compute(item, inputs_of(store, item))[PAGE].decode()
 
     return page
 

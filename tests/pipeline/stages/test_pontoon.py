@@ -9,9 +9,8 @@ from command_line import call
 from small_study import files_of, labelled, run
 
 from pipeline.cluster import serial_cluster
-from pipeline.config.loading import load, parse, preset_path
+from pipeline.config.loading import load, preset_path
 from pipeline.config.settings import Settings
-from pipeline.errors import PuddleError
 from pipeline.stages.analyse import ANALYSE, table_file
 from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.files import HISTORY
@@ -88,22 +87,6 @@ def test_the_preset_is_what_the_paper_built_within_what_servos_give():
     assert morphology.max_joint_speed == physics.max_motor_speed
     assert 0.5 < torque + physics.max_motor_speed * frequency / servo.no_load_speed_rad_s < 1 / 1.3
     assert (kit.pitch_mm, kit.thickness_mm) == (1000 * tank.pontoon_pitch, 1000 * tank.pontoon_thickness)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("physics: {passive_joints: locked}", r"passive_joints is locked.*expected evolution\.morphology\.n_actuated"),
-        (
-            "evolution: {controller: reflex, morphology: {unjoined_links: apart_in_gait}}",
-            r"morphology constrains gaits, but evolution\.controller reflex needs angle, .*or controller open_loop",
-        ),
-        ("rollout: {n_settle: 0}\ntank: {}", r"rollout\.n_settle is 0.*tank.*expected at least 1"),
-    ],
-)
-def test_settings_that_contradict_one_another_are_refused(text, message):
-    with pytest.raises(PuddleError, match=message):
-        parse(Settings, text, name="mine")
 
 
 def test_everything_that_evolves_can_be_built(pontoon, built):

@@ -60,9 +60,6 @@ def same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
     )
 
 
-# -- tables ----------------------------------------------------------------------------------------------------------
-
-
 def test_a_table_comes_back_as_it_went_in_arrays_of_its_own() -> None:
     columns = example_columns()
     found = decode_table(example_table(), **FORMAT, source="history.parquet")
@@ -94,18 +91,13 @@ def test_duckdb_and_polars_read_lists_and_the_label(tmp_path) -> None:
     path.write_bytes(example_table())
     columns = example_columns()
     rows = duckdb.sql(f"select parent, motor_on, operator, mass[2], fitness from '{path}'").fetchall()
-    assert [row[0] for row in rows] == columns["parent"].tolist()
-    assert [row[1] for row in rows] == columns["motor_on"].tolist()
-    assert [row[2] for row in rows] == columns["operator"].tolist()
-    assert [row[3] for row in rows] == columns["mass"][:, 1].tolist()
-    np.testing.assert_array_equal([row[4] for row in rows], columns["fitness"])
+    expected = (columns["parent"], columns["motor_on"], columns["operator"], columns["mass"][:, 1], columns["fitness"])
+    for found, column in zip(zip(*rows, strict=True), expected, strict=True):
+        np.testing.assert_array_equal(found, column)
     np.testing.assert_array_equal(polars.read_parquet(path)["mass"].to_numpy(), columns["mass"])
     said = duckdb.sql(f"select value from parquet_kv_metadata('{path}') where key = 'puddle'").fetchall()
     label = json.loads(bytes(said[0][0]))
     assert label == {**FORMAT, "units": {"fitness": "m", "mass": "kg"}}
-
-
-# -- arrays ----------------------------------------------------------------------------------------------------------
 
 
 def test_arrays_come_back_in_order_of_name() -> None:
@@ -117,8 +109,6 @@ def test_arrays_come_back_in_order_of_name() -> None:
     assert same(dict(sorted(arrays.items())), found)
     assert encode_arrays(dict(reversed(arrays.items())), **FORMAT) == data
 
-
-# -- damage ----------------------------------------------------------------------------------------------------------
 
 DECODE: dict[str, Callable[[bytes], object]] = {
     "table": lambda data: decode_table(data, **FORMAT, source="the file"),
@@ -153,8 +143,6 @@ def test_other_formats_and_versions_are_refused(kind: str, found: dict[str, obje
     with pytest.raises(PuddleError, match=f"the file: .*{message}"):
         DECODE[kind](data)
 
-
-# -- JSON ------------------------------------------------------------------------------------------------------------
 
 TEXT = st.text(st.characters(codec="utf-8"))
 PLAIN = st.recursive(

@@ -16,8 +16,6 @@ from pipeline.store.encoding import digest, encode_document
 from pipeline.store.provenance import _PACKAGES, environment
 from pipeline.store.store import Store, StudyItem, StudyRecord
 
-# -- what it is for --------------------------------------------------------------------------------------------------
-
 
 def test_a_committed_item_is_found_and_read_by_another_store_object(store: Store) -> None:
     assert store.manifest("evolve", KEY) is None
@@ -71,18 +69,6 @@ def test_an_item_in_the_place_of_another_is_noticed(store: Store) -> None:
     assert (found.stage, found.key) == ("evolve", KEY)
 
 
-def test_a_discarded_item_is_computed_again_to_the_same_bytes(store: Store) -> None:
-    commit(store)
-    before = tree(store.root)
-    store.discard("evolve", KEY)
-    assert store.manifest("evolve", KEY) is None and not list(store.items())
-    store.discard("evolve", KEY)
-    commit(store)
-    assert tree(store.root) == before
-
-
-# -- several processes -----------------------------------------------------------------------------------------------
-
 RACE = """
 import sys
 from pathlib import Path
@@ -113,9 +99,6 @@ def test_processes_that_make_and_fill_one_store_at_once(tmp_path: Path) -> None:
     store = Store.open(root, create=False)
     assert len(list(store.items())) == 60 and store.verify() == []
     assert not [name for name in tree(root) if name.endswith(".tmp")]
-
-
-# -- studies ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_study_record_comes_back(store: Store) -> None:

@@ -59,18 +59,13 @@ def test_rows_come_back_from_parquet(rows):
     assert rows_of(Sample, through_parquet(columns_of(Sample, rows))) == rows
 
 
-def test_columns_have_the_names_and_types_that_parquet_holds():
-    columns = through_parquet(columns_of(Sample, SAMPLES))
-    assert tuple(columns) == NAMES
+def test_columns_have_the_names_and_types_that_parquet_holds_with_rows_and_without():
+    columns, empty = (through_parquet(columns_of(Sample, rows)) for rows in (SAMPLES, ()))
+    assert tuple(columns) == tuple(empty) == NAMES
+    assert all(len(column) == 0 and column.dtype.kind == columns[name].dtype.kind for name, column in empty.items())
     assert columns["side"].tolist() == ["a", "b"]
     assert columns["found"][0] == 1.5 and np.isnan([columns[n][1] for n in ("found", "found_low", "p")]).all()
     assert columns["why"].tolist() == ["", "none"]
-
-
-def test_without_rows_columns_keep_their_names_and_types():
-    full, empty = columns_of(Sample, SAMPLES), through_parquet(columns_of(Sample, ()))
-    assert tuple(empty) == NAMES
-    assert all(len(column) == 0 and column.dtype.kind == full[name].dtype.kind for name, column in empty.items())
 
 
 def test_csv_leaves_out_what_is_missing_and_spreads_several_numbers():

@@ -57,17 +57,13 @@ def _batched(root, *overrides: str, stage: AnyStage = EVOLVE, n_cores: float = 1
 
 def test_adaptations_are_batched_too(tmp_path):
     settings, stages = tiny(*BATCHED), (EVOLVE, ADAPT)
+    unbatched = [dataclasses.replace(stage, compute_batch=None) for stage in stages]
     with serial_cluster() as inner:
-        alone = run(settings, Store.open(tmp_path / "alone", create=True), inner, list(map(_unbatched, stages)))
+        alone = run(settings, Store.open(tmp_path / "alone", create=True), inner, unbatched)
         cluster = Batches(inner)
         together = run(settings, Store.open(tmp_path / "together", create=True), cluster, stages)
     assert digests(together) == digests(alone)
     assert cluster.batched == {"evolve", "adapt"}
-
-
-def _unbatched(stage: AnyStage) -> AnyStage:
-    """Return the stage without batches."""
-    return dataclasses.replace(stage, compute_batch=None)
 
 
 def test_the_items_of_a_batch_share_its_time(tmp_path):

@@ -1,6 +1,5 @@
 """The workflow with real stages on tiny settings: the same bytes however it runs, and wherever it stopped before."""
 
-import contextlib
 import re
 import shutil
 
@@ -70,16 +69,15 @@ def test_the_training_device_is_part_of_a_members_identity(serial_run):
     assert gpu.key != core.key and gpu.execution == Execution(n_gpus=1)
 
 
-@pytest.mark.parametrize("kind", ["serial", "ray"])
-def test_a_missing_gpu_is_reported_at_once(kind, request, serial_run):
+def test_a_missing_gpu_is_reported_at_once(serial_run, local_ray):
     """Ray would wait for one forever."""
     store, _ = serial_run
-    with contextlib.ExitStack() as stack:
-        cluster = request.getfixturevalue("local_ray") if kind == "ray" else stack.enter_context(serial_cluster())
-        if cluster.n_gpus:
-            pytest.skip("there is a GPU")
-        with pytest.raises(PuddleError, match=r"member-00 is to run on a GPU, and there is none.*device=cpu"):
-            run(tiny("training.device=cuda"), store, cluster, STAGES[:2])
+    with serial_cluster() as serial:
+        for cluster in (serial, local_ray):
+            if cluster.n_gpus:
+                pytest.skip("there is a GPU")
+            with pytest.raises(PuddleError, match=r"member-00 is to run on a GPU, and there is none.*device=cpu"):
+                run(tiny("training.device=cuda"), store, cluster, STAGES[:2])
 
 
 def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run):

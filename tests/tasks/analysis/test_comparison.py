@@ -37,14 +37,16 @@ def test_nested_trials_have_errors_with_the_variance_between_replicates():
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "value"), [([], [1.0], None), ([3.0], [1.0, 2.0], 1.5), ([2.0] * 3, [1.0] * 3, 1.0)]
+    ("x", "y", "expected"),
+    [
+        ([], [1.0], Estimate(None)),
+        ([3.0], [1.0, 2.0], Estimate(1.5)),
+        ([2.0] * 3, [1.0] * 3, Estimate(1.0)),
+        ([1.0, 5.0], [1.0, 5.0], Estimate(0.0, 0.0, 0.0)),  # the very same trials
+    ],
 )
-def test_what_has_no_test(x, y, value):
-    assert difference(sample(x), sample(y)) == (Estimate(value), None)
-
-
-def test_trials_that_are_the_very_same_differ_by_nothing():
-    assert difference(sample([1.0, 5.0]), sample([1.0, 5.0])) == (Estimate(0.0, 0.0, 0.0), None)
+def test_what_has_no_test(x, y, expected):
+    assert difference(sample(x), sample(y)) == (expected, None)
 
 
 @pytest.mark.parametrize(
@@ -55,11 +57,11 @@ def test_trials_that_are_the_very_same_differ_by_nothing():
         ((2.1, 9), "differs"),
         ((-9, -2.1), "differs"),
         ((-9, 9), "cannot tell"),
+        ((), "cannot tell"),
     ],
 )
 def test_verdicts_are_of_the_whole_interval(ends, verdict):
     assert judge(Estimate(0.0, *ends), -2, 2) == verdict
-    assert judge(Estimate(0.0), -2, 2) == "cannot tell"
 
 
 def test_holm_of_a_worked_example():
@@ -95,8 +97,7 @@ def test_studies_are_compared_at_every_common_depth_and_corrected_together():
 def test_arms_of_the_same_trials_are_identical_and_come_last():
     of_b = {**ARMS, ("dry_land", 9.0): ARMS["dry_land", 9.0] + 0.1}
     rows = compare(trials_of(ARMS), trials_of(of_b), [(E, E), (DRY, DRY)], E[0])
-    told = [(row.depth, row.a.split("/")[0], row.verdict, row.p is None) for row in rows]
-    assert told == [
+    assert [(row.depth, row.a.split("/")[0], row.verdict, row.p is None) for row in rows] == [
         (9.0, "dry_land", "agrees", False),
         (9.0, "true_slush", "identical", True),
         (1.0, "dry_land", "identical", True),

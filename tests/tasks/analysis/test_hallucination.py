@@ -1,12 +1,10 @@
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
 from tasks.analysis.hallucination import disagreement_along
 from tasks.design import random_designs
 from tasks.simulation import simulate
-from tasks.world import LinkStates, Physics, ResidualSlush, Slush, VelocityChange
+from tasks.world import Physics, ResidualSlush, Slush, VelocityChange
 
 PHYSICS = Physics()
 
@@ -22,12 +20,13 @@ def test_a_planted_hallucination_is_located(study):
     assert not found[~false].any()
 
 
-@dataclass
 class Witness:
     """A medium that remembers what it is asked."""
 
-    asked: list[LinkStates] = field(default_factory=list)
-    n_members: int = 1
+    n_members = 1
+
+    def __init__(self):
+        self.asked = []
 
     def velocity_change(self, links, physics):
         self.asked.append(links)

@@ -16,9 +16,9 @@ TANK = Tank(length=2.0, depth=0.2, scale=0.1, seconds=40.0 * np.sqrt(0.1))  # 20
 SQUARE = replace(random_designs(1, np.random.default_rng(71)), length_scale=np.ones((1, 6)))  # links of 1 m by 1 m
 
 
-def gliding(speed, apart, n_steps=N_SETTLE + 400):
+def gliding(speed, apart):
     """(1, n_steps, 6) places of links in a row, `apart` from each other, let go at the settled state's time."""
-    time = (np.arange(n_steps) - (N_SETTLE - 1)) * DT
+    time = (np.arange(N_SETTLE + 400) - (N_SETTLE - 1)) * DT
     return (speed * time[:, None] + apart * np.arange(6))[None]
 
 
@@ -44,16 +44,13 @@ def test_a_robot_has_crossed_when_its_front_has_come_to_the_end():
     assert found.travelled == pytest.approx(14, abs=0.5 * DT)
 
 
-def reaching():
-    """A front far beyond the end, of a robot whose centre of mass has moved 5 m."""
-    x = gliding(speed=0.0, apart=1.0)
-    x[0, N_SETTLE + 100 :, 5] += 30
-    return x
+REACHING = gliding(speed=0.0, apart=1.0)  # a front far beyond the end, of a robot whose centre of mass has moved 5 m
+REACHING[0, N_SETTLE + 100 :, 5] += 30
 
 
 @pytest.mark.parametrize(
     ("x", "travelled"),
-    [(gliding(0.3, 1.0), 0.3 * 40), (gliding(-1.0, 1.0), -40.0), (reaching(), 5.0), (gliding(1.0, 4.0), 40.0)],
+    [(gliding(0.3, 1.0), 0.3 * 40), (gliding(-1.0, 1.0), -40.0), (REACHING, 5.0), (gliding(1.0, 4.0), 40.0)],
     ids=["too slow", "backwards", "reaching ahead", "as long as the tank"],
 )
 def test_who_has_not_crossed(x, travelled):
@@ -97,13 +94,7 @@ def test_a_servo_s_torque_at_scale_is_that_of_the_kit(law, link_density):
 
 
 @pytest.mark.parametrize(
-    ("scores", "chosen"),
-    [
-        ([1.0, 2.0, 9.0], 1),  # mean 4
-        ([3.0, 5.0], 0),  # as near: the first
-        ([np.nan, 7.0, np.nan], 1),
-        ([np.nan, np.nan], None),
-    ],
+    ("scores", "chosen"), [([1.0, 2.0, 9.0], 1), ([3.0, 5.0], 0), ([np.nan, 7.0, np.nan], 1), ([np.nan, np.nan], None)]
 )
 def test_the_champion_to_build_is_the_nearest_the_mean(scores, chosen):
     assert nearest_the_mean(np.array(scores)) == chosen

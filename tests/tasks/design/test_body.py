@@ -7,19 +7,13 @@ import pytest
 
 from tasks.design import Designs, kinematic_trees, random_designs, rest_pose, rigid_bodies
 
-N_DESIGNS = 300
 HALF_ULP = 2.0**-24
 """Relative rounding of float32."""
 
 
 @pytest.fixture(scope="module")
 def designs() -> Designs:
-    return random_designs(N_DESIGNS, np.random.default_rng(1))
-
-
-def along(x: np.ndarray, y: np.ndarray, angle: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """World place of the point (0, distance) of links; a link's long axis at angle θ points to (-sin θ, cos θ)."""
-    return np.stack([x - np.sin(angle) * distance, y + np.cos(angle) * distance], axis=-1)
+    return random_designs(300, np.random.default_rng(1))
 
 
 def test_a_body_worked_out_by_hand() -> None:
@@ -105,15 +99,16 @@ def test_links_and_joints_lie_in_their_body_as_they_lie_at_rest(designs: Designs
     rigid = rigid_bodies(built, passive_joints="locked")
     x, y, angle = rest_pose(built)
     parents_body = np.take_along_axis(rigid.first_link, np.maximum(built.parent, 0), axis=1)
-    joint = along(x, y, angle, built.child_attachment * built.length_scale / 2)
+    along = built.child_attachment * built.length_scale / 2  # of the joint; the long axis points to (-sin θ, cos θ)
+    joint = np.stack([x - np.sin(angle) * along, y + np.cos(angle) * along])
     for body, own_x, own_y, at in (
-        (rigid.first_link, rigid.x, rigid.y, np.stack([x, y], axis=-1)),
+        (rigid.first_link, rigid.x, rigid.y, np.stack([x, y])),
         (parents_body, rigid.joint_x, rigid.joint_y, joint),
     ):
         of_body = [np.take_along_axis(q, body, axis=1) for q in (x, y, angle)]
         cos, sin = np.cos(of_body[2]), np.sin(of_body[2])
-        found = np.stack([of_body[0] + cos * own_x - sin * own_y, of_body[1] + sin * own_x + cos * own_y], axis=-1)
+        found = np.stack([of_body[0] + cos * own_x - sin * own_y, of_body[1] + sin * own_x + cos * own_y])
         # Within a body places of up to 18 m and angles of up to 5π are rounded once; two of them meet in each place.
-        np.testing.assert_allclose(found[:, 1:], at[:, 1:], rtol=0, atol=2 * 18 * HALF_ULP)
+        np.testing.assert_allclose(found[..., 1:], at[..., 1:], rtol=0, atol=2 * 18 * HALF_ULP)
     turned = np.take_along_axis(angle, rigid.first_link, axis=1) + rigid.angle
     np.testing.assert_allclose(turned, angle, rtol=0, atol=2 * 18 * HALF_ULP)

@@ -56,12 +56,10 @@ def test_designs_are_shown_by_their_shapes_and_drawn(designs: Designs) -> None:
 
 
 def test_indexing_chooses_designs(designs: Designs) -> None:
-    assert len(designs) == 5
-    assert len(designs[2]) == 1
+    assert len(designs) == 5 and len(designs[2]) == 1
     assert designs[2].frequency[0] == designs.frequency[2]
     assert designs[1:3] == designs[[1, 2]]
-    mask = np.array([True, False, False, True, False])
-    assert designs[mask] == designs[[0, 3]]
+    assert designs[np.array([True, False, False, True, False])] == designs[[0, 3]]
     assert len(designs[np.zeros(0, dtype=np.int64)]) == 0
     np.testing.assert_array_equal(designs[[4, 4, 0]].phase, designs.phase[[4, 4, 0]])
     with pytest.raises(IndexError):
@@ -72,12 +70,10 @@ def test_indexing_chooses_designs(designs: Designs) -> None:
 def test_a_vector_is_a_design_and_back() -> None:
     designs = random_designs(200, np.random.default_rng(4))
     vector = designs.to_vector()
-    assert vector.shape == (200, N_REALS)
-    assert ((vector >= 0) & (vector <= 1)).all()
+    assert vector.shape == (200, N_REALS) and ((vector >= 0) & (vector <= 1)).all()
     again = Designs.from_vector(vector)
     np.testing.assert_allclose(again.table, designs.table, rtol=0, atol=1e-15)
-    assert (again.parent == designs.parent).all()
-    assert (again.motor_on == designs.motor_on).all()
+    assert (again.parent == designs.parent).all() and (again.motor_on == designs.motor_on).all()
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, 0.5, np.nextafter(1.0, 0.0)])
@@ -88,25 +84,22 @@ def test_every_vector_is_a_valid_design(value: float) -> None:
     ]
 
 
+OTHER_SHAPE = "expected shape (n_designs, 9 or 17 or 25 or 33 or 41 or 49 or 57 or 65 or 73 or 81 or 89)"
+
+
 @pytest.mark.parametrize(
     ("vector", "message"),
     [
-        (
-            np.zeros(40),
-            "expected shape (n_designs, 9 or 17 or 25 or 33 or 41 or 49 or 57 or 65 or 73 or 81 or 89), got (40,)",
-        ),
-        (
-            np.zeros((1, 1, 41)),
-            "expected shape (n_designs, 9 or 17 or 25 or 33 or 41 or 49 or 57 or 65 or 73 or 81 or 89), got (1, 1, 41)",
-        ),
+        (np.zeros(40), f"{OTHER_SHAPE}, got (40,)"),
+        (np.zeros((1, 1, 41)), f"{OTHER_SHAPE}, got (1, 1, 41)"),
         (np.full((2, 41), 1.5), "[0, 0], length_scale of link 0, is 1.5, expected 0 to 1"),
         (np.r_[np.zeros(6), np.nan, np.zeros(34)], "[0, 6], parent of link 2, is nan, expected 0 to 1"),
         (np.r_[np.zeros(40), -0.1], "[0, 40], frequency, is -0.1, expected 0 to 1"),
     ],
 )
-def test_a_vector_that_is_none_is_refused(vector: object, message: str) -> None:
+def test_a_vector_that_is_none_is_refused(vector, message: str) -> None:
     with pytest.raises(DesignError, match=re.escape(f"vector: {message}")):
-        Designs.from_vector(vector)  # type: ignore[arg-type]
+        Designs.from_vector(vector)
 
 
 def test_what_the_root_ignores_is_not_checked(designs: Designs) -> None:

@@ -9,28 +9,12 @@ from hypothesis import strategies as st
 from scipy import stats
 from varied_designs import BODY, NO_REWIRING, binomial_interval, canonical, is_canonical, mutations, numbers, seeds
 
-from tasks.design import (
-    GENES,
-    N_LINKS,
-    Designs,
-    LinkLimits,
-    Morphology,
-    Mutation,
-    check,
-    crossover,
-    jittered,
-    mutate,
-    random_designs,
-)
+from tasks.design import GENES, N_LINKS, Designs, LinkLimits, Morphology, Mutation, check, random_designs
 from tasks.design.genes import N_GENES
+from tasks.design.variation import crossover, jittered, mutate
 from tasks.simulation import simulate
 
 sizes = st.integers(0, 40)
-CONTROL = tuple(gene.name for gene in GENES if gene.part == "control")
-
-
-def copy(designs: Designs) -> Designs:
-    return Designs(**{name: array.copy() for name, array in designs.arrays()})
 
 
 def at_bounds(rng: np.random.Generator, n_designs: int) -> Designs:
@@ -65,11 +49,10 @@ def test_mutants_are_valid_and_differ(seed: int, n_designs: int, mutation: Mutat
     check(drawn)
     assert is_canonical(drawn) and len(drawn) == n_designs
     parents = at_bounds(rng, n_designs) if edge else drawn
-    before = copy(parents)
+    before = parents.table.copy()
     mutants = mutate(parents, rng, mutation=mutation, parts=parts)
     check(mutants)
-    assert is_canonical(mutants)
-    assert parents == before
+    assert is_canonical(mutants) and (parents.table == before).all()
     assert (numbers(mutants) != numbers(parents)).any(axis=1).all()
     for name in BODY if parts == ("control",) else ():
         np.testing.assert_array_equal(getattr(mutants, name), getattr(parents, name))
@@ -80,10 +63,10 @@ def test_random_genes_are_uniform_motors_on_half_the_time_and_parents_any_link_b
     for gene in GENES:
         drawn = getattr(designs, gene.name)
         drawn = drawn[:, int(not gene.of_root) :] if gene.per_link else drawn
-        low, high = gene.low, gene.high
         if gene.kind != "flag":
             # The seed is fixed, so this passes or fails for good; a true uniform fails for one seed in a thousand.
-            assert stats.kstest(drawn.ravel(), stats.uniform(low, high - low).cdf).pvalue > 1e-3, gene.name
+            uniform = stats.uniform(gene.low, gene.high - gene.low)
+            assert stats.kstest(drawn.ravel(), uniform.cdf).pvalue > 1e-3, gene.name
         else:
             low, high = binomial_interval(drawn.size, 0.5)
             assert low <= drawn.sum() <= high
@@ -127,10 +110,7 @@ def test_angles_wrap_around() -> None:
     designs = canonical(replace(designs, phase=np.full_like(designs.phase, 0.01)))
     phase = mutate(designs, rng, mutation=NO_REWIRING).phase[:, 1:]
     moved = phase[phase != 0.01]
-    # Half of the steps lead below 0 and come back below 2π; nothing is caught at the bound.
-    low, high = binomial_interval(moved.size, stats.norm.cdf(-0.01 / (0.1 * 2 * np.pi)))
-    assert low <= (moved > np.pi).sum() <= high
-    assert (moved != 0).all()
+    assert (moved != 0).all()  # nothing is caught at the bound
     signed = (moved - 0.01 + np.pi) % (2 * np.pi) - np.pi
     assert stats.kstest(signed, stats.norm(0, 0.1 * 2 * np.pi).cdf).pvalue > 1e-3
 
@@ -156,7 +136,7 @@ def test_a_child_takes_whole_links_from_one_or_the_other() -> None:
         for on in (True, False)
     )
     child = crossover(one, other, rng)
-    per_link = [name for name in (*BODY, *CONTROL) if name != "frequency"]
+    per_link = ["parent", *(gene.name for gene in GENES if gene.per_link)]
 
     def whole(donor: Designs) -> np.ndarray:
         """Links all of whose genes are the donor's, the parent among them."""
@@ -164,8 +144,7 @@ def test_a_child_takes_whole_links_from_one_or_the_other() -> None:
 
     from_one, from_other = whole(one), whole(other)
     assert (from_one ^ from_other).all()
-    assert from_one.any(axis=1).all()  # both donors are used in every child
-    assert from_other.any(axis=1).all()
+    assert from_one.any(axis=1).all() and from_other.any(axis=1).all()  # both donors are used in every child
     low, high = binomial_interval(n_designs, 0.5)
     counts = from_one.sum(axis=0)
     assert ((counts >= low) & (counts <= high)).all()

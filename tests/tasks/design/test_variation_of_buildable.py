@@ -9,8 +9,6 @@ from tasks.design import DesignError, Designs, Morphology, Mutation, check, cros
 from tasks.design.variation import MAX_DRAWS, Sampler, variation_of
 
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
-
-
 IN_GAIT = Morphology(n_actuated=2, unjoined_links="apart_in_gait", max_joint_speed=1.0)
 
 
@@ -52,9 +50,7 @@ def test_a_parent_without_a_mutant_is_named(buildable: Designs) -> None:
     parents = buildable[rng.permutation(48)[8:10]]
     only_rewired = Mutation(genes_changed=0.0, step=0.001, rewiring=1.0)
     mutate(parents[:1], rng, mutation=only_rewired, morphology=BUILDABLE)
-    with pytest.raises(
-        DesignError, match=f"design 1: {MAX_DRAWS:,} samples were drawn and none is allowed by unjoined_links=apart"
-    ):
+    with pytest.raises(DesignError, match=f"design 1: {MAX_DRAWS:,} samples were drawn and none is allowed"):
         mutate(parents, rng, mutation=only_rewired, morphology=BUILDABLE)
 
 

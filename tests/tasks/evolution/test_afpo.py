@@ -1,4 +1,4 @@
-"""Age-fitness Pareto optimisation: selection on worked examples, shares of children, ages and identities."""
+"""Age-fitness Pareto optimisation: selection, shares of children, tournaments."""
 
 import numpy as np
 from hypothesis import given
@@ -6,21 +6,16 @@ from hypothesis import strategies as st
 from varied_designs import binomial_interval
 
 from tasks.design import random_designs
-from tasks.evolution import EMPTY_POPULATION, Afpo, Evaluation, Population, select
-from tasks.evolution.breeding import RANDOM
+from tasks.evolution import Afpo, Population, select
 
 
-def rng(seed: int = 0) -> np.random.Generator:
+def rng(seed: int) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def chosen(fitness: list[float], age: list[int], n_survivors: int, seed: int = 0) -> list[int]:
-    return select(np.array(fitness), np.array(age), rng(seed), n_survivors).tolist()
-
-
-def population_of(n: int, *, seed: int = 0) -> Population:
+def population_of(n: int) -> Population:
     """A population of different ages, with identities that tell one from another."""
-    draw = rng(seed)
+    draw = rng(0)
     return Population(
         table=random_designs(n, draw).table.copy(),
         fitness=draw.normal(size=n),
@@ -34,8 +29,8 @@ def population_of(n: int, *, seed: int = 0) -> Population:
 
 
 def test_the_dominated_are_sampled_alike_and_without_replacement() -> None:
-    fitness, age = [9.0, 1.0, 2.0, 3.0, 4.0], [0, 1, 1, 5, 9]
-    draws = [chosen(fitness, age, 3, seed) for seed in range(3000)]
+    fitness, age = np.array([9.0, 1.0, 2.0, 3.0, 4.0]), np.array([0, 1, 1, 5, 9])
+    draws = [select(fitness, age, rng(seed), 3).tolist() for seed in range(3000)]
     assert all(survivors[0] == 0 and len(set(survivors)) == 3 for survivors in draws)
     counts = np.bincount(np.array(draws)[:, 1:].ravel(), minlength=5)[1:]
     low, high = binomial_interval(3000, 2 / 4)
@@ -56,9 +51,6 @@ def test_selection_agrees_with_the_definition(designs: list[tuple[float, int]]) 
     assert sorted(survivors[len(front) :]) == sorted(dominated)
 
 
-# Children.
-
-
 def test_shares_of_children() -> None:
     afpo, population, draw = Afpo(), population_of(64), rng(1)
     operators = np.concatenate([afpo.ask(population, draw).operator for _ in range(150)])
@@ -77,19 +69,6 @@ def test_the_fitter_of_two_is_a_parent_in_tournaments() -> None:
     for share, count in zip(expected, np.bincount(first - 100, minlength=8), strict=True):
         low, high = binomial_interval(first.size, share)
         assert low <= count <= high
-
-
-# Telling.
-
-
-def test_after_a_generation_that_diverged_throughout_evolution_starts_again() -> None:
-    afpo = Afpo(population_size=8)
-    diverged = Evaluation(np.full(8, -np.inf), *[np.full((8, 1), np.nan)] * 3)
-    empty = afpo.tell(EMPTY_POPULATION, afpo.ask(EMPTY_POPULATION, rng(10)), diverged, rng(11))
-    assert len(empty.designs) == 0
-    children = afpo.ask(empty, rng(12))
-    assert (children.operator == RANDOM).all()
-    np.testing.assert_array_equal(children.identity, np.arange(8, 16))
 
 
 def test_the_champion_is_the_fittest_and_the_first_of_several() -> None:

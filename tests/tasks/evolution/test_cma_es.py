@@ -34,9 +34,8 @@ def test_it_converges_on_an_optimum_around_the_corner() -> None:
 
 def test_it_keeps_the_number_of_links_of_its_body() -> None:
     """Of 2 to 9; the first generation has designs of all numbers."""
-    population, history = run(
-        [4], CmaEs(population_size=16), morphology=Morphology(n_links=LinkLimits(least=2, most=9))
-    )
+    morphology = Morphology(n_links=LinkLimits(least=2, most=9))
+    population, history = run([4], CmaEs(population_size=16), morphology=morphology)
     n_links = 1 + (history["parent"] >= 0).sum(axis=1)
     first = history["generation"] == 0
     assert len(set(n_links[first])) > 4 and set(n_links[~first]) == set(population.designs.n_links)

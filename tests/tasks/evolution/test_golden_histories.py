@@ -13,8 +13,6 @@ from tasks.design import Morphology, random_designs
 from tasks.evolution import EMPTY_POPULATION, Afpo, Evaluation
 from tasks.seeding import generator
 
-compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
-
 TWO = Morphology(n_actuated=2)
 APART = Morphology(n_actuated=2, unjoined_links="apart")
 
@@ -42,15 +40,8 @@ def evolved(kind: str, n_generations: int) -> str:
         fitness = np.round(rng.normal(size=afpo.population_size) + children.designs.length_scale.sum(axis=1), 1)
         fitness[rng.random(afpo.population_size) < 0.05] = -np.inf
         population = afpo.tell(population, children, Evaluation(fitness, *[fitness[:, None]] * 3), rng)
-        for array in (
-            children.extra["age"],
-            children.operator,
-            children.parents,
-            children.n_draws,
-            children.designs.table,
-        ):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        for array in population.arrays().values():
+        told = children.extra["age"], children.operator, children.parents, children.n_draws, children.designs.table
+        for array in (*told, *population.arrays().values()):
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 
@@ -60,14 +51,10 @@ def test_a_trial_has_the_bits_that_it_had_before(kind: str) -> None:
     assert evolved(kind, 10 if kind == "apart" else 60) == GOLDEN[kind]
 
 
-@compiled_only
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
 def test_plain_python_has_the_same_bits() -> None:
     kinds = [kind for kind in GOLDEN if kind != "apart"]  # which takes 10,000 draws
-    script = f"""
-import runpy
-evolved = runpy.run_path({__file__!r})["evolved"]
-print(*(evolved(kind, 4) for kind in {kinds}))
-"""
+    script = f"import runpy; f = runpy.run_path({__file__!r})['evolved']; print(*(f(kind, 4) for kind in {kinds}))"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
     assert done.stdout.split() == [evolved(kind, 4) for kind in kinds], done.stderr

@@ -19,10 +19,8 @@ def test_each_cell_holds_its_fittest_design() -> None:
         best = fittest.setdefault(tuple(cell[row]), row)
         if history["fitness"][row] > history["fitness"][best]:
             fittest[tuple(cell[row])] = row
-    assert (
-        dict(zip(map(tuple, population.extra["cell"].tolist()), population.identity.tolist(), strict=True)) == fittest
-    )
-    assert len(fittest) > 6
+    held = zip(map(tuple, population.extra["cell"].tolist()), population.identity.tolist(), strict=True)
+    assert dict(held) == fittest and len(fittest) > 6
 
 
 def test_measures_of_a_body() -> None:
@@ -32,9 +30,7 @@ def test_measures_of_a_body() -> None:
     parent = np.array([[-1, 0, 0, 0, 0, 0]])
     compact = Designs(**{**zeros, "parent": parent, "length_scale": np.ones((1, 6))})
     np.testing.assert_allclose(measure_bodies(compact), [[1.0, 6.0]])
-    length, angle, attachment = np.ones((1, 6)), np.zeros((1, 6)), np.zeros((1, 6))
-    length[0, 5], angle[0, 5], attachment[0, 5] = 2.0, np.pi / 2, 1.0
-    long = Designs(
-        **{**zeros, "parent": parent, "length_scale": length, "rest_angle": angle, "child_attachment": attachment}
-    )
+    last = np.eye(6)[5:]
+    across = {"length_scale": 1 + last, "rest_angle": np.pi / 2 * last, "child_attachment": last}
+    long = Designs(**{**zeros, "parent": parent, **across})
     np.testing.assert_allclose(measure_bodies(long), [[2.5, 7.0]])

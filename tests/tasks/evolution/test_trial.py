@@ -8,14 +8,12 @@ from tasks.design import GENES, Designs, Morphology, check, links_apart, random_
 from tasks.evolution import SEARCHES, Afpo, Evaluation, History, Optimiser, Population, Trial, evolve, history_units
 from tasks.evolution.breeding import CROSSOVER, MUTATION, RANDOM
 
-AFPO = Afpo(population_size=12)
 N_GENERATIONS = 25
 
 
 @pytest.fixture(scope="module", params=SEARCHES)
 def search(request: pytest.FixtureRequest) -> Optimiser:
-    optimiser: Optimiser = SEARCHES[request.param].settings.model_validate({"population_size": 12})  # type: ignore[assignment]
-    return optimiser
+    return SEARCHES[request.param].settings.model_validate({"population_size": 12})
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +39,8 @@ def test_the_history_has_a_row_for_every_design(uncut: tuple[Population, History
     designs = Designs.from_arrays(history)
     check(designs)
     again = long_and_fast(designs)
-    np.testing.assert_array_equal(history["fitness"], again.fitness)
-    np.testing.assert_array_equal(history["displacement"], again.displacement)
-    np.testing.assert_array_equal(history["com_displacement"], again.com_displacement)
+    for name in ("fitness", "displacement", "com_displacement"):
+        np.testing.assert_array_equal(history[name], getattr(again, name))
     # What the search keeps are rows of it, the best among them.
     assert designs[population.identity] == population.designs
     np.testing.assert_array_equal(history["fitness"][population.identity], population.fitness)
@@ -54,12 +51,11 @@ def test_the_history_has_a_row_for_every_design(uncut: tuple[Population, History
     child, place = np.nonzero(history["parents"] >= 0)
     parent = history["parents"][child, place]
     assert (history["generation"][parent] < history["generation"][child]).all()
-    assert history["survived"][parent].all()
-    assert np.isfinite(history["fitness"][parent]).all()
+    assert history["survived"][parent].all() and np.isfinite(history["fitness"][parent]).all()
 
 
 def test_ages_and_parents() -> None:
-    population, history = run([N_GENERATIONS], AFPO)
+    population, history = run([N_GENERATIONS], Afpo(population_size=12))
     n_parents = (history["parents"] >= 0).sum(axis=1)
     np.testing.assert_array_equal(n_parents, np.array([0, 1, 2])[history["operator"]])
     # A line of descent is as old as the generations since its oldest ancestor.
@@ -106,18 +102,14 @@ def test_after_a_generation_that_diverged_throughout_a_search_starts_again(searc
     np.testing.assert_array_equal(history["identity"], np.arange(12, 36))
 
 
-BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
-
-
 @pytest.mark.parametrize("frozen", [False, True])
 def test_every_design_of_a_trial_keeps_to_its_morphology(search: Optimiser, frozen: bool) -> None:
-    body = random_designs(1, np.random.default_rng(6), morphology=BUILDABLE) if frozen else None
-    _, history = run([12], search, body=body, morphology=BUILDABLE)
+    buildable = Morphology(n_actuated=2, unjoined_links="apart")
+    body = random_designs(1, np.random.default_rng(6), morphology=buildable) if frozen else None
+    _, history = run([12], search, body=body, morphology=buildable)
     designs = Designs.from_arrays(history)
     check(designs)
-    assert links_apart(designs).all()
-    assert (designs.motor_on.sum(axis=1) == 2).all()
-    assert (history["n_draws"] >= 1).all()
+    assert links_apart(designs).all() and (designs.motor_on.sum(axis=1) == 2).all()
     random = history["operator"] == RANDOM
     if body is None:
         assert history["n_draws"][random].mean() > 100  # 1,100 on average

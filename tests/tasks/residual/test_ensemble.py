@@ -35,8 +35,8 @@ def observations(n_rows, n_members=N_MEMBERS, seed=1):
     return (rng.normal(size=(n_members, n_rows, 6)) * (0.7, 3, 0.6, 4, 4, 4)).astype(np.float32)
 
 
-def links(shape, seed=2):
-    rng = np.random.default_rng(seed)
+def links(shape):
+    rng = np.random.default_rng(2)
     angle = rng.uniform(-9, 9, shape)
     a = rng.uniform(1, 3, shape)
     y, vx, vy, omega = rng.normal(size=(4, *shape))
@@ -50,8 +50,7 @@ def ensemble():
 
 
 def test_an_ensemble_is_shown_without_its_weights(ensemble):
-    shown = "Ensemble(3 plain networks of 6 → 32 → 32 → 3 units)"
-    assert repr(ensemble) == shown
+    assert repr(ensemble) == "Ensemble(3 plain networks of 6 → 32 → 32 → 3 units)"
 
 
 @pytest.mark.parametrize("architecture", [Architecture(hidden_layers=1, width=7), Architecture(hidden_layers=3)])

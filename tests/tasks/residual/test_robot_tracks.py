@@ -42,9 +42,8 @@ def test_each_robot_is_one_throw_whose_states_are_those_of_its_rollout():
         assert len(own) == n_links * n_steps and (own.step[:n_steps] == range(n_steps)).all()
         states, after = own.state.reshape(n_links, n_steps, 6), trace[robot, :, :n_links].swapaxes(0, 1)
         np.testing.assert_array_equal(states[:, 1:, [0, 1, 3, 4, 5]], after[:, :-1, [0, 1, 3, 4, 5]])
-        np.testing.assert_array_equal(
-            own.length_scale[::n_steps], designs.length_scale[robot, :n_links].astype(np.float32)
-        )
+        lengths = designs.length_scale[robot, :n_links].astype(np.float32)
+        np.testing.assert_array_equal(own.length_scale[::n_steps], lengths)
 
 
 def test_links_in_an_engines_own_fluid_step_as_thrown_bars_do():
@@ -109,10 +108,7 @@ def test_networks_learn_from_throws_and_tracks():
 def test_networks_know_the_time_step_they_learned_of():
     physics, quick = Physics(time_step=1 / 120), {"n_members": 2, "training": Training(n_iterations=10, batch_size=64)}
     throws = throw("true_slush", Throws(n_throws=4, n_steps=20), physics=physics)
-    states = dict(zip(STATE, throws.state.T, strict=True)) | {
-        "throw": throws.throw,
-        "length_scale": throws.length_scale,
-    }
+    states = throws.columns() | dict(zip(STATE, throws.state.T, strict=True))
     learned = learn([throws, states], **quick, physics=physics)
     assert (learned.time_step, learned.mean().time_step) == (1 / 120, 1 / 120)
     assert learn(throws, **quick).time_step == 1 / 60

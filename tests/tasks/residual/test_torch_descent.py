@@ -174,9 +174,8 @@ def test_a_minibatch_that_does_not_fit_is_reported_with_one_that_does(monkeypatc
     monkeypatch.setattr(descent, "gradient", no_memory)
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (75_000, 10**9))
     monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 0)
-    with pytest.raises(
-        OutOfDeviceMemory, match=r"^a minibatch of 256 rows for 1 network takes .* to be at most \d+$"
-    ) as said:
+    expected = r"^a minibatch of 256 rows for 1 network takes .* to be at most \d+$"
+    with pytest.raises(OutOfDeviceMemory, match=expected) as said:
         descent.advance(1)
     # a row takes 16 units of 4 bytes in two layers and two gradients, and three times its 12 columns
     n_bytes = 16 * 4 * 4 + 4 * (3 * 12 + 1)
@@ -207,11 +206,7 @@ def test_it_learns_and_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_
     [
         (None, None, r"torch \S+ was built without CUDA \(make setup TORCH=cuda\)$"),
         ("12.8", None, r"built for CUDA 12.8: finds no device$"),
-        (
-            "12.8",
-            "The NVIDIA driver on your system is too old (found version 11040). Please update your GPU driver by\nmore",
-            r"built for CUDA 12.8: The NVIDIA driver on your system is too old \(found version 11040\)$",
-        ),
+        ("12.8", "The driver is too old (version 11040). Please update\nit", r"12.8: The driver .* \(version 11040\)$"),
     ],
 )
 def test_a_missing_device_is_a_line_that_says_why(built_for, error, said, monkeypatch, recwarn):

@@ -4,18 +4,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from tasks.residual import (
-    Architecture,
-    MeasuredTransitions,
-    Throws,
-    Training,
-    Transitions,
-    initial_states,
-    simulate_throws,
-)
+from tasks.residual import Architecture, MeasuredTransitions, Throws, Training, Transitions
 from tasks.residual.forms import observe
 from tasks.residual.forms.plain import PLAIN
-from tasks.residual.throws import precision_weights
+from tasks.residual.throws import initial_states, precision_weights, simulate_throws
 from tasks.residual.training import TrainingDiverged, split_throws, train_member
 from tasks.world import Physics, Slush
 
@@ -23,10 +15,9 @@ SMALL = Architecture(hidden_layers=2, width=16)
 SHORT = Training(n_iterations=20, batch_size=256)
 
 
-def synthetic(n_throws, n_steps, residual_of, seed=0):
+def synthetic(n_throws, n_steps, residual_of=lambda observed: 0.1 * observed):
     """Transitions with random observations and a residual that is a function of them; the rest is not looked at."""
-    rng = np.random.default_rng(seed)
-    n = n_throws * n_steps
+    rng, n = np.random.default_rng(0), n_throws * n_steps
     none = np.zeros((n, 6), np.float32)
     drawn = Transitions(
         throw=np.repeat(np.arange(n_throws), n_steps),
@@ -37,21 +28,18 @@ def synthetic(n_throws, n_steps, residual_of, seed=0):
         next_on_dry_land=none,
         residual=none,
     )
-    return replace(drawn, residual=residual_of(observe(PLAIN, drawn.links(Physics())), rng).astype(np.float32))
+    return replace(drawn, residual=residual_of(observe(PLAIN, drawn.links(Physics()))).astype(np.float32))
 
 
-@pytest.fixture(scope="module")
-def thrown():
-    starts = initial_states(Throws(n_throws=40), np.random.default_rng(5))
+def thrown(n_throws):
+    starts = initial_states(Throws(n_throws=n_throws), np.random.default_rng(5))
     return simulate_throws(starts, 200, Slush(), Physics())
 
 
 def test_throws_never_seen_are_predicted_much_better_than_by_the_mean():
     # With 40 throws a single impact unlike all others can outweigh the rest; 200 leave some 50 to be judged by.
-    starts = initial_states(Throws(n_throws=200), np.random.default_rng(5))
-    thrown = simulate_throws(starts, 200, Slush(), Physics())
     training = Training(n_iterations=3000, batch_size=1024, loss="mse", learning_rate=5e-3, held_out=0.25)
-    member = train_member(thrown, Architecture(hidden_layers=2, width=32), training, seed=0, member=0)
+    member = train_member(thrown(200), Architecture(hidden_layers=2, width=32), training, seed=0, member=0)
     curve = member.learning_curve
     assert curve[0, 0] == 30 and curve[-1, 0] == 3000 and curve.shape == (100, 3)
     assert curve[-1, 1] < 0.3 * curve[0, 1]
@@ -62,14 +50,10 @@ def test_throws_never_seen_are_predicted_much_better_than_by_the_mean():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_data_that_are_not_finite_end_a_training_by_name(thrown, value):
-    def spoiled(o, rng):
-        residual = o.copy()
-        residual[:, 3] = value
-        return residual
-
+def test_data_that_are_not_finite_end_a_training_by_name(value):
+    spoiled = synthetic(10, 5, lambda observed: np.where(np.arange(6) == 3, value, observed))
     with pytest.raises(TrainingDiverged, match=r"member 4: the training loss is nan at iteration 1\b"):
-        train_member(synthetic(10, 5, spoiled), SMALL, SHORT, seed=0, member=4)
+        train_member(spoiled, SMALL, SHORT, seed=0, member=4)
 
 
 @pytest.mark.parametrize("wrong", [{"n_iterations": 0}, {"held_out": 1.0}, {"min_learning_rate": 1e-2}, {"unknown": 1}])
@@ -87,7 +71,7 @@ def test_uncertain_residuals_weigh_less():
 
 
 def test_a_network_learns_around_rows_that_are_known_to_be_wrong():
-    plain = synthetic(20, 30, lambda state, rng: 0.1 * state)
+    plain = synthetic(20, 30)
     wrong = np.arange(len(plain)) % 3 == 0
     residual = plain.residual + 5 * wrong[:, None].astype(np.float32)
     sd = np.where(wrong[:, None], np.float32(10), np.float32(0)) * np.ones_like(residual)
@@ -102,7 +86,7 @@ def test_a_network_learns_around_rows_that_are_known_to_be_wrong():
 
 
 def test_members_learn_from_other_tracked_throws_and_are_tested_on_those_that_are_held_out():
-    plain = synthetic(12, 30, lambda state, rng: 0.1 * state)
+    plain = synthetic(12, 30)
     columns = plain.columns() | {"throw": plain.throw - 4, "residual_sd": np.zeros_like(plain.residual)}
     tracked = MeasuredTransitions(**columns, held_out=plain.throw < 7)
     first, again, second = (train_member(tracked, SMALL, SHORT, seed=1, member=member) for member in (0, 0, 1))
@@ -114,10 +98,11 @@ def test_members_learn_from_other_tracked_throws_and_are_tested_on_those_that_ar
     assert (of_spoiled.standardisation.residual_mean == means[0]).all()
 
 
-def test_standardisation_knows_the_training_set_alone(thrown):
-    member = train_member(thrown, SMALL, SHORT, seed=3, member=0)
-    learned, held_out = split_throws(thrown.throw, SHORT.held_out, seed=3)
-    mean = thrown.residual[learned].mean(axis=0, dtype=float).astype(np.float32)
+def test_standardisation_knows_the_training_set_alone():
+    throws = thrown(40)
+    member = train_member(throws, SMALL, SHORT, seed=3, member=0)
+    learned, held_out = split_throws(throws.throw, SHORT.held_out, seed=3)
+    mean = throws.residual[learned].mean(axis=0, dtype=float).astype(np.float32)
     assert (member.standardisation.residual_mean == mean).all()
     assert {row.n_rows for row in member.validation if row.band == "all"} == {held_out.sum()} == {4 * 200}
 

@@ -115,12 +115,11 @@ def test_a_law_that_reads_kicks_says_so():
         puddle.simulate(DESIGNS, Pool(1.0, Undeclared()), n_settle=0, n_measure=2)
 
 
-class Shared(Wake):
-    """Every rollout gets the same memory."""
+class Starting:
+    """A function makes the medium of a rollout."""
 
-    def start(self, links, physics, depth):
-        self.memory = getattr(self, "memory", None) or Counting()
-        return self.memory
+    def __init__(self, start):
+        self.start = start
 
 
 class Counting:
@@ -134,25 +133,18 @@ class Counting:
         return VelocityChange(self.change, 0.0, 0.0)
 
 
-class Failing(Wake):
-    def start(self, links, physics, depth):
-        return links.depth
-
-
-class Empty(Wake):
-    def start(self, links, physics, depth):
-        return depth
+SHARED = Counting()
 
 
 @pytest.mark.parametrize(
     ("medium", "said"),
     [
         (Counting(), "vx: expected the same change when asked twice"),
-        (Shared(), "vx: expected the same change when asked twice"),
+        (Starting(lambda *_: SHARED), "vx: expected the same change when asked twice"),
         (Counting(np.nan), "vx: expected finite numbers in the first step, got nan or inf"),
         (Counting(np.inf), "vx: expected finite numbers in the first step, got nan or inf"),
-        (Empty(), "TypeError: start: expected a medium with velocity_change, got float"),
-        (Failing(), "AttributeError: 'LinkStates' object has no attribute 'depth'"),
+        (Starting(lambda links, physics, depth: depth), "start: expected a medium with velocity_change, got float"),
+        (Starting(lambda links, *_: links.depth), "AttributeError: 'LinkStates' object has no attribute 'depth'"),
     ],
     ids=["no start", "shared memory", "nan", "inf", "no medium", "start fails"],
 )
@@ -168,7 +160,6 @@ def test_a_medium_that_fails_later_is_a_status():
             change.vx[0, 2] *= np.nan if len(self.asked) > 50 else 1.0
             return change
 
-    medium = Wake()
-    medium.start = lambda links, physics, depth: Late(links, depth)
+    medium = Starting(lambda links, physics, depth: Late(links, depth))
     status = puddle.simulate(DESIGNS, Pool(1.0, medium), n_settle=0, n_measure=100).status
     assert list(status) == ["ok", "ok", "diverged", "ok", "ok"]

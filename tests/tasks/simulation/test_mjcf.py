@@ -37,8 +37,7 @@ def test_ten_seconds_on_dry_land_are_those_of_box2d(number):
 def test_masses_joints_and_collisions_are_those_of_the_physics():
     design = replace(DESIGNS[0], motor_on=np.array([[False, True, False, False, True, False]]))
     model = mujoco.MjModel.from_xml_string(mjcf(design, 2.0, Physics(passive_joints="locked", link_density=1.5)))
-    assert model.nu == 2
-    assert model.nv == 3 + 2  # the root's, and the motors' joints
+    assert (model.nu, model.nv) == (2, 3 + 2)  # the root's, and the motors' joints
     assert model.body_mass[1:] == pytest.approx([1.5] * 6)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

@@ -65,16 +65,11 @@ def test_a_thrown_bar_falls_for_a_whole_step_whatever_its_length(rate):
     assert fallen[0, [0, 4]] == pytest.approx([1 / rate, -9.8 / rate], rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("physics", "said"),
-    [
-        ({"restitution": 0.5}, "physics.restitution is 0.5, which the engine mujoco lacks: expected 0.0"),
-        ({"max_motor_speed": 3.0}, "physics.max_motor_speed is 3.0, which the engine mujoco lacks: expected None"),
-    ],
-)
-def test_physics_that_it_lacks_are_refused(physics, said):
+@pytest.mark.parametrize(("name", "value", "expected"), [("restitution", 0.5, 0.0), ("max_motor_speed", 3.0, None)])
+def test_physics_that_it_lacks_are_refused(name, value, expected):
+    said = f"physics.{name} is {value}, which the engine mujoco lacks: expected {expected}"
     with pytest.raises(EngineError, match=said):
-        simulate(SWIMMERS, DryLand(0.0), engine="mujoco", physics=Physics(**physics))
+        simulate(SWIMMERS, DryLand(0.0), engine="mujoco", physics=Physics(**{name: value}))
 
 
 def test_a_package_that_is_not_installed_is_named(monkeypatch):

@@ -1,6 +1,5 @@
 """simulate(): its signature, shapes, refusals, and that no rollout knows of another."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +15,7 @@ ENVIRONMENTS = [
     TrueSlush(9.0),
     RandomisedSlush(1.0, RandomisedSlushes(n_members=2, seed=1)),
 ]
-in_every_environment = pytest.mark.parametrize(
-    "environment", ENVIRONMENTS, ids=["dry", "shallow", "deep", "two members"]
-)
+in_every_environment = pytest.mark.parametrize("environment", ENVIRONMENTS, ids=["dry", "1 m", "9 m", "two members"])
 by_either_engine = pytest.mark.parametrize("engine", ["batch", "reference"])
 
 
@@ -70,14 +67,12 @@ def test_mistakes_are_refused_by_name(designs: Designs, engine: str) -> None:
     broken, wild = designs.parent.copy(), designs.frequency.copy()
     broken[1, 3], wild[5] = 4, np.nan
     for bad, options, error, message in (
-        (designs, {"engine": "bullet"}, ValueError, "engine is 'bullet', expected any of batch, reference, mujoco"),
         (designs, {"n_settle": -1}, ValueError, "n_settle is -1, expected at least 0"),
-        (designs, {"n_measure": 0}, ValueError, "n_measure is 0, expected at least 1"),
         (replace(designs, parent=broken), {}, DesignError, "design 1: parent of link 3 is 4"),
         (replace(designs, frequency=wild), {}, DesignError, "design 5: frequency is nan"),
     ):
-        with pytest.raises(error, match=re.escape(message)):
-            simulate(bad, DryLand(0.0), **{"engine": engine, **options})
+        with pytest.raises(error, match=message):
+            simulate(bad, DryLand(0.0), engine=engine, **options)
 
 
 @by_either_engine

@@ -1,5 +1,7 @@
 """Falling plates: the published equations, their fluttering and tumbling, added mass, and energy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from both_engines import assert_equal
@@ -77,15 +79,12 @@ def test_heavy_plates_tumble_and_light_ones_flutter():
     assert (np.abs(np.sign(np.diff(late[:, :2], axis=0)).sum(axis=0)) == len(late) - 1).all()
 
 
-def some_links(n: int = 2000, dtype: type = np.float64, **fixed: float) -> LinkStates:
-    rng = np.random.default_rng(3)
-    length, angle = rng.uniform(1, 3, n), rng.uniform(-9, 9, n)
-    moving = rng.normal(size=(3, n)) * np.array([[15], [15], [10]])
-    states = {"y": rng.uniform(-3, 3, n), **dict(zip(("vx", "vy", "omega"), moving, strict=True))}
-    states |= {name: np.full(n, number) for name, number in fixed.items()}
+def some_links(**fixed: float) -> LinkStates:
+    rng, n = np.random.default_rng(3), 2000
+    length, angle, moving = rng.uniform(1, 3, n), rng.uniform(-9, 9, n), rng.normal(size=(3, n)) * [[15], [15], [10]]
     inertia = (length**2 + length**-2) / 12
-    links = {"length_scale": length, "mass": np.ones(n), "inertia": inertia, "cos": np.cos(angle), "sin": np.sin(angle)}
-    return LinkStates(**{name: array.astype(dtype) for name, array in (links | states).items()})
+    links = LinkStates(length, np.ones(n), inertia, np.zeros(n), np.cos(angle), np.sin(angle), *moving)
+    return replace(links, **{name: np.full(n, float(number)) for name, number in fixed.items()})
 
 
 def test_the_fluid_gives_no_energy():
@@ -118,7 +117,7 @@ def test_at_rest_gravity_acts_on_the_weight_less_buoyancy_and_moves_the_carried_
 def test_a_kick_moves_the_carried_mass_too():
     kick = np.array((0.3, -0.2, 0.1))
     still = some_links(y=-9, vx=0, vy=0, omega=0)
-    kicked = LinkStates(**vars(still) | dict(zip(("kick_vx", "kick_vy", "kick_omega"), kick[:, None], strict=True)))
+    kicked = replace(still, kick_vx=kick[:1], kick_vy=kick[1:2], kick_omega=kick[2:])
     change, before = (FallingPlate().velocity_change(links, Physics()) for links in (kicked, still))
     a, b, cos, sin = still.length_scale / 2, 0.5 / still.length_scale, still.cos, still.sin
     kept = kick[:, None] + [getattr(change, name) - getattr(before, name) for name in ("vx", "vy", "omega")]

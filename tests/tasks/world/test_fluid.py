@@ -31,9 +31,8 @@ def test_both_engines_agree():
 
 
 def test_there_is_no_water_over_ground_at_the_surface():
-    wet, dry = Pool(0.0, SMALL), puddle.DryLand(0.0)
-    of_both = [puddle.simulate(DESIGNS, there, **DURATION).trace for there in (wet, dry)]
-    np.testing.assert_array_equal(*of_both)
+    wet, dry = (puddle.simulate(DESIGNS, at, **DURATION).trace for at in (Pool(0.0, SMALL), puddle.DryLand(0.0)))
+    np.testing.assert_array_equal(wet, dry)
 
 
 def test_thrown_bars_lose_speed_under_water_and_end_afloat():
@@ -55,7 +54,7 @@ def test_films_show_the_water_of_the_rollout():
 
     medium = Kept(length=8.0)
     trace = puddle.simulate(DESIGNS[:1], Pool(1.0, medium), **DURATION).trace[0]
-    (_, flume), *_ = kept[0].flumes.items()
+    flume = next(iter(kept[0].flumes.values()))
     scenes = scenes_along(DESIGNS[:1], trace, Pool(1.0, medium), Physics())
     assert len(scenes) == len(trace) - 1
     surface, particles, period = scenes[-1]

@@ -44,11 +44,8 @@ def test_drag_is_the_ellipsoid_s():
 
 
 def test_a_spinning_link_is_lifted_by_magnus_force_and_slowed_down():
-    lifts = [
-        moved(MujocoFluid(**{**NONE, "magnus_lift": 1.0}), vx=2.0, omega=omega)
-        - moved(MujocoFluid(**NONE), vx=2.0, omega=omega)
-        for omega in (3.0, -3.0)
-    ]
+    lifting, plain = MujocoFluid(**NONE | {"magnus_lift": 1.0}), MujocoFluid(**NONE)
+    lifts = [moved(lifting, vx=2.0, omega=omega) - moved(plain, vx=2.0, omega=omega) for omega in (3.0, -3.0)]
     assert (lifts[0][:, 1] > 1e-3).all()
     assert lifts[1][:, 1] == pytest.approx(-lifts[0][:, 1], rel=0.01)
     assert (moved(MujocoFluid(), omega=3.0)[:, 2] < -1e-3).all()
@@ -80,14 +77,8 @@ def test_robots_in_an_empty_fluid_move_as_on_dry_land_in_mujoco():
 
 
 def test_its_engine_alone_simulates_it():
+    design = random_designs(1, np.random.default_rng(8))
     with pytest.raises(MediumError, match="MujocoFluid acts in the engine mujoco alone"):
-        batch.roll_out(
-            random_designs(1, np.random.default_rng(8)),
-            Pool(9.0, MujocoFluid()),
-            Physics(),
-            n_settle=0,
-            n_measure=3,
-            trace=False,
-        )
+        batch.roll_out(design, Pool(9.0, MujocoFluid()), Physics(), n_settle=0, n_measure=3, trace=False)
     with pytest.raises(ValidationError, match="density"):
         MujocoFluid(density=-1.0)

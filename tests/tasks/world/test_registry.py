@@ -6,38 +6,22 @@ import re
 import pytest
 from pydantic import ValidationError
 
-from tasks.world import ENVIRONMENTS, DryLand, RandomisedSlushes, Slush, TrueSlush
-from tasks.world.anisotropic_slush import AnisotropicSlush
-from tasks.world.falling_plate import FallingPlate
-from tasks.world.flowing_slush import FlowingSlush
-from tasks.world.fluid import FluidFlume
-from tasks.world.mujoco_fluid import MujocoFluid
-from tasks.world.registry import register, settings_groups
+from tasks.world import ENVIRONMENTS, DryLand, Slush, TrueSlush
+from tasks.world.registry import register
 
 
 def test_an_environment_is_built_from_its_settings_group() -> None:
-    assert settings_groups() == {
-        "slush": Slush,
-        "anisotropic_slush": AnisotropicSlush,
-        "falling_plate": FallingPlate,
-        "flowing_slush": FlowingSlush,
-        "randomised_slush": RandomisedSlushes,
-        "fluid": FluidFlume,
-        "mujoco_fluid": MujocoFluid,
-    }
     for group in (Slush(density=2.0), {"density": 2.0}):
-        built = ENVIRONMENTS["true_slush"].environment(3.0, group)
-        assert built == TrueSlush(3.0, Slush(density=2.0))
+        assert ENVIRONMENTS["true_slush"].environment(3.0, group) == TrueSlush(3.0, Slush(density=2.0))
     assert ENVIRONMENTS["dry_land"].environment(3.0) == DryLand(3.0)
     with pytest.raises(ValidationError, match="viscosity"):
         ENVIRONMENTS["true_slush"].environment(3.0, {"viscosity": 2.0})
 
 
 def test_a_name_is_registered_once() -> None:
-    registered = dict(ENVIRONMENTS)
     with pytest.raises(ValueError, match="environment 'dry_land' is registered twice"):
         register(dataclasses.replace(ENVIRONMENTS["dry_land"], label="Another"))
-    assert dict(ENVIRONMENTS) == registered
+    assert ENVIRONMENTS["dry_land"].label != "Another"
 
 
 @pytest.mark.parametrize("depth", [-1e-9, -9, float("nan"), float("inf"), True, "1", None])

@@ -15,8 +15,7 @@ from build123d import import_step
 from pipeline.bench.fabrication.exports import exports
 
 ROOT = Path(__file__).parents[4]
-MESHED = 2e-3
-"""Relative tolerance: facets miss curved faces by up to 0.05 mm, also in 3 mm holes."""
+MESHED = 2e-3  # relative tolerance: facets miss curved faces by up to 0.05 mm, also in 3 mm holes
 
 
 @pytest.fixture(scope="module")

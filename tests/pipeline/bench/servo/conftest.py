@@ -11,14 +11,12 @@ import pytest
 
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
 
-DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0xA1: 0}
-"""Number of data bytes of each command in the user's guide."""
-
+DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0xA1: 0}  # of each command in the user's guide
 PROTOCOL_ERROR = 1 << 4
 
 
 class FakeMaestro:
-    """Implements the compact protocol, records every command, and misbehaves on demand."""
+    """Implements the compact protocol, records every pulse, and misbehaves on demand."""
 
     def __init__(self, *, unplug_after: int | None = None) -> None:
         self._master, self._slave = pty.openpty()
@@ -29,7 +27,6 @@ class FakeMaestro:
         self.channel_range = (256, 10_000)  # the controller's own limits [quarter µs]
         self.errors = 0
         self.n_bytes = 0
-        self.commands: list[tuple[int, ...]] = []
         self.targets: list[tuple[int, float]] = []  # channel and pulse [µs], in order of arrival
         self.on: dict[int, float] = {}  # channel -> µs, while pulsing
         self.speeds: dict[int, int] = {}
@@ -69,8 +66,7 @@ class FakeMaestro:
         else:
             self._partial.append(byte)
         if len(self._partial) == 1 + DATA_BYTES[self._partial[0]]:
-            command, self._partial = tuple(self._partial), []
-            self.commands.append(command)
+            command, self._partial = self._partial, []
             self._obey(*command)
 
     def _obey(self, command: int, channel: int = 0, low: int = 0, high: int = 0) -> None:

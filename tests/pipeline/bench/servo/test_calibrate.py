@@ -17,8 +17,7 @@ from pipeline.config.loading import load
 from pipeline.errors import PuddleError
 from tasks.bench.fabrication.calibration import Calibration, ServoCalibration
 
-FRAMES_PER_LINE = 20
-"""Frames that the user takes to type a line."""
+FRAMES_PER_LINE = 20  # that the user takes to type a line
 
 
 @pytest.fixture

@@ -10,18 +10,17 @@ from tasks.analysis.estimates import Estimate
 from tasks.analysis.scores import Champion, ScoredTrial
 from tasks.analysis.tables.transfer_robustness import CONDITIONS, N_STARTS, robustness
 from tasks.design import motors_off, random_designs
-from tasks.simulation import simulate
+from tasks.simulation import Conditions, simulate
 from tasks.world import Physics, TrueSlush
 
 STEPS = {"n_settle": 20, "n_measure": 60}
 ARMS = (("true_slush", 0), ("true_slush", 1), ("dry_land", 0), ("dry_land", 1))
 
 
-def rolled_out(designs, depth, conditions=None, **changes):
-    physics = Physics() if conditions is None else conditions.of_physics(Physics())
-    steps = {name: n * (conditions.n_substeps if conditions else 1) for name, n in STEPS.items()}
-    started = designs if conditions is None else conditions.of_designs(designs)
-    return simulate(started, TrueSlush(depth=depth), engine="reference", physics=physics, **steps).displacement
+def rolled_out(designs, depth, conditions=Conditions()):  # noqa: B008 (frozen)
+    physics, designs = conditions.of_physics(Physics()), conditions.of_designs(designs)
+    steps = {name: n * conditions.n_substeps for name, n in STEPS.items()}
+    return simulate(designs, TrueSlush(depth=depth), engine="reference", physics=physics, **steps).displacement
 
 
 @pytest.fixture(scope="module")
@@ -72,23 +71,16 @@ def test_continuous_collision_is_scored_at_the_least_depth_alone(study):
 
 
 def test_shares_are_of_the_targets_own_champions_in_the_same_conditions(study):
-    e, land, *_ = robustness(replace_signs(study))
+    """With scores that are all positive, so that every share is known."""
+    champions = [replace(champion, zero_shot=abs(champion.zero_shot) + 5) for champion in study.champions]
+    positive = {
+        "trials": champions,
+        "champions": champions,
+        "score_under": lambda *asked: np.abs(study.score_under(*asked)) + 4 + asked[0].n_substeps,
+    }
+    e, land, *_ = robustness(SimpleNamespace(**vars(study) | positive))
     assert e.share == e.quarter_share == e.gain_share == Estimate(1.0)
     assert land.share.value == pytest.approx(land.one.value / e.one.value)
     assert land.quarter_share.value == pytest.approx(land.quarter_steps.value / e.quarter_steps.value)
     gain = (land.one.value - land.passive.value) / (e.one.value - e.passive.value)
     assert land.gain_share.value == pytest.approx(gain)
-
-
-def replace_signs(study):
-    """Return the study with scores that are all positive, so that every share is known."""
-    champions = [replace(one, zero_shot=abs(one.zero_shot) + 5, passive=one.passive) for one in study.champions]
-    score = study.score_under
-    return SimpleNamespace(
-        **vars(study)
-        | {
-            "trials": champions,
-            "champions": champions,
-            "score_under": lambda *asked: np.abs(score(*asked)) + (5 if asked[0].n_substeps == 1 else 6),
-        }
-    )

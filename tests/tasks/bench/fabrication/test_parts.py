@@ -72,13 +72,9 @@ def test_places_of_holes(kit):
 
 
 def test_servos_alternate_between_the_pontoons_and_pins_replace_the_others(kit, crane):
-    kinds = sorted(item.name for item in kit.bought if item.kind in ("servo", "pin"))
-    assert kinds == [
-        "pin of joint 2, right",
-        "pin of joint 4, left",
-        "servo of joint 2, left",
-        "servo of joint 4, right",
-    ]
+    names = sorted(item.name for item in kit.bought if item.kind in ("servo", "pin"))
+    pins = ["pin of joint 2, right", "pin of joint 4, left"]
+    assert names == [*pins, "servo of joint 2, left", "servo of joint 4, right"]
     both = build_kit(crane, SETTINGS.model_copy(update={"servos_per_joint": 2}))
     assert sum(item.kind == "servo" for item in both.bought) == 4 and not any(b.kind == "pin" for b in both.bought)
 
@@ -111,10 +107,8 @@ def test_poses_are_those_of_the_design_with_its_joints_turned(crane):
     mechanism = mechanism_of(crane, SETTINGS)
     instants = 2 * pi * np.arange(96) / 96
     for instant in (0, 7, 40):
-        turned = crane.rest_angle + np.where(
-            crane.motor_on, crane.motion_range * np.sin(instants[instant] + crane.phase), 0.0
-        )
-        expected = mechanism_of(replace(crane, rest_angle=turned), SETTINGS)
+        turn = crane.motor_on * crane.motion_range * np.sin(instants[instant] + crane.phase)
+        expected = mechanism_of(replace(crane, rest_angle=crane.rest_angle + turn), SETTINGS)
         for body in mechanism.bodies:
             pose = mechanism.poses_in_gait(0, body.index)[instant] if body.index else IN_PLACE
             here = moved(body.outline, pose)

@@ -12,8 +12,6 @@ from tasks.bench.fabrication.servos import SERVOS
 from tasks.design import N_LINKS, Designs, links_apart, random_designs
 
 SETTINGS = KitSettings()
-FEW, MANY = 1, 200
-"""Number of designs in `make test`, and with --torture."""
 
 
 def variant(rng: np.random.Generator) -> Designs:
@@ -29,7 +27,7 @@ def variant(rng: np.random.Generator) -> Designs:
 
 def test_random_designs_of_the_variant_make_valid_closed_parts(torture):
     """``build_kit`` checks that solids are valid and have the analytic volume; this also checks their meshes."""
-    for rng in torture.attempts(FEW, MANY):
+    for rng in torture.attempts(1, 200):
         kit = build_kit(variant(rng), SETTINGS)
         assert len(kit.mechanism.bodies) == 3
         assert not any("variant" in finding.message for finding in kit.findings)
@@ -42,7 +40,7 @@ def test_a_cut_that_grazes_an_edge_leaves_no_crumb():
 
 
 def test_random_designs_of_any_kind_do_not_crash(torture):
-    for rng in torture.attempts(FEW, MANY):
+    for rng in torture.attempts(1, 200):
         servo, horn = rng.choice(sorted(SERVOS)), rng.choice(["cross", "disc"])
         settings = KitSettings(servo=str(servo), horn=str(horn), servos_per_joint=int(rng.integers(1, 3)))
         check_meshes(build_kit(random_designs(1, rng), settings))

@@ -75,7 +75,5 @@ def test_a_timeline_beyond_a_limit_is_refused_with_joint_time_and_limit():
 
 def test_a_controller_that_senses_is_refused_by_what_servos_lack():
     robot = random_designs(1, np.random.default_rng(0), controller="reflex")
-    with pytest.raises(
-        TimelineError, match="controller reflex needs angle, speed, tilt, spin, wet, contact, which serv"
-    ):
+    with pytest.raises(TimelineError, match="reflex needs angle, speed, tilt, spin, wet, contact, which serv"):
         timeline_of(replace(robot, motor_on=np.ones((1, 6), bool)), time_scale=1.0)

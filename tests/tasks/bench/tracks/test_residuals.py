@@ -28,9 +28,8 @@ def errors(transitions, *, slower_than: float) -> np.ndarray:
     links = FreeLinks(transitions.length_scale, PHYSICS)
     true = (links.step(transitions.state, Slush()) - links.step(transitions.state, None))[:, 3:]
     slow = (np.hypot(*transitions.state[:, 3:5].T) < slower_than) & (np.abs(transitions.state[:, 5]) < slower_than)
-    return np.sqrt(
-        np.mean((transitions.residual[slow, 3:] - true[slow]) ** 2, axis=0) / np.mean(true[slow] ** 2, axis=0)
-    )
+    error = transitions.residual[slow, 3:] - true[slow]
+    return np.sqrt(np.mean(error**2, axis=0) / np.mean(true[slow] ** 2, axis=0))
 
 
 def test_slow_bars_show_the_mediums_residual() -> None:
@@ -107,11 +106,8 @@ def test_rows_at_contacts_are_left_out_and_counted() -> None:
     # Steps of 1/60 s that touch the three frames on each side of the contact: 6 intervals of 1/16 s, and both ends.
     assert report.n_rows_at_contacts == pytest.approx(6 / 16 * 60, abs=2)
     assert len(transitions) == 4 * 60 - report.n_rows_at_contacts
-    assert set(np.unique(transitions.throw[~np.isin(transitions.step, transitions.step[transitions.throw == 2])])) == {
-        0,
-        1,
-        3,
-    }
+    left_out = ~np.isin(transitions.step, transitions.step[transitions.throw == 2])
+    assert set(transitions.throw[left_out]) == {0, 1, 3}
 
 
 def test_tracks_that_are_refused() -> None:

@@ -6,11 +6,10 @@ import pytest
 from tasks.bench.tracks.smoother import Measured, smooth
 
 
-def measured(time, value, sd=None) -> Measured:
+def measured(time, value) -> Measured:
     """Return one coordinate of throws of equally many frames."""
     time, value = np.broadcast_arrays(np.atleast_2d(time), np.atleast_2d(value))
-    given = None if sd is None else np.full(value.shape, sd)
-    return Measured(np.array(time, float), np.array(value, float), np.ones(value.shape, bool), given)
+    return Measured(np.array(time, float), np.array(value, float), np.ones(value.shape, bool), None)
 
 
 def many_times(n: int, seconds: float, n_throws: int):

@@ -1,5 +1,3 @@
-"""The pose of a bar and its uncertainty."""
-
 import numpy as np
 import pytest
 

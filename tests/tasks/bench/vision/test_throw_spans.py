@@ -1,5 +1,3 @@
-"""Where throws begin and end."""
-
 import numpy as np
 import pytest
 

@@ -1,6 +1,5 @@
 """Objectives and fitness on figures worked out by hand."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -34,20 +33,14 @@ def test_one_diverged_member_is_enough(bad: float) -> None:
 
 
 def test_an_environment_without_members_has_one() -> None:
-    rollouts = Rollouts(
-        displacement=np.array([1.0, np.nan]),
-        com_displacement=np.array([0.5, np.nan]),
-        second_half_speed=np.array([0.1, np.nan]),
-        status=np.array([OK, DIVERGED]),
-        trace=None,
-    )
-    evaluation = evaluate(rollouts, disagreement_penalty=1.0)
-    np.testing.assert_array_equal(evaluation.fitness, [1.0, -np.inf])
-    np.testing.assert_array_equal(evaluation.displacement, [[1.0], [np.nan]])
+    first = [getattr(ENSEMBLE, name)[0] for name in ("displacement", "com_displacement", "second_half_speed", "status")]
+    evaluation = evaluate(Rollouts(*first, trace=None), disagreement_penalty=1.0)
+    np.testing.assert_array_equal(evaluation.fitness, [1.0, 4.0, -np.inf])
+    np.testing.assert_array_equal(evaluation.displacement, [[1.0], [4.0], [np.nan]])
 
 
 @pytest.fixture
-def com() -> Iterator[Objective]:
+def com():
     """The displacement of the centre of mass, registered as an objective."""
     objective = Objective("com", "Displacement of the centre of mass", "m", lambda rollouts: rollouts.com_displacement)
     register_objective(objective)

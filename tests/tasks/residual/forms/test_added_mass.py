@@ -1,5 +1,3 @@
-"""Networks that predict added mass."""
-
 import numpy as np
 
 from tasks.residual import Architecture, Throws, Training, initial_states, simulate_throws

@@ -10,15 +10,8 @@ from tasks.residual.ensemble import Ensemble
 from tasks.residual.forms import observe, register_form, velocity_changes
 from tasks.residual.forms.plain import PLAIN
 from tasks.residual.training import train_member
-from tasks.world import LinkStates, Physics, Slush
-
-
-def links(n=1000, seed=0):
-    rng = np.random.default_rng(seed)
-    angle = rng.uniform(-9, 9, n)
-    y, vx, vy, omega = rng.normal(size=(4, n)) * 3
-    arrays = (rng.uniform(1, 3, n), np.ones(n), np.ones(n), y, np.cos(angle), np.sin(angle), vx, vy, omega)
-    return LinkStates(*(array.astype(np.float32) for array in arrays))
+from tasks.world import Physics, Slush
+from tests.tasks.residual.test_ensemble import links
 
 
 @pytest.mark.parametrize("name", sorted(FORMS))
@@ -28,14 +21,13 @@ def test_stored_networks_of_a_form_predict_links_as_they_were_trained(name):
     arrays = train_member(found, Architecture(hidden_layers=1, width=8, form=name), training, seed=1, member=0).arrays()
     ensemble, form = Ensemble.from_members([arrays, arrays]), FORMS[name]
     assert ensemble.form is form and ensemble.weights[0].shape == (2, len(form.inputs) + len(form.unseen), 8)
-    states = LinkStates(**{name: np.stack([array, array]) for name, array in vars(links()).items()})
-    change = ensemble.velocity_change(states, Physics())
-    inputs = observe(form, states)
-    seen = inputs[0][:, : len(form.inputs)]
+    states = links((2, 1000))
+    change, inputs = ensemble.velocity_change(states, Physics()), observe(form, states)[1]
+    seen = inputs[:, : len(form.inputs)]
     hidden = ((seen - arrays["observation_mean"]) / arrays["observation_deviation"]) @ arrays["weight_0"]
     standard = np.maximum(hidden + arrays["bias_0"], 0) @ arrays["weight_1"] + arrays["bias_1"]
     outputs = standard * arrays["residual_deviation"] + arrays["residual_mean"]
-    expected = velocity_changes(form, outputs[:, len(form.beside) :], inputs[0])
+    expected = velocity_changes(form, outputs[:, len(form.beside) :], inputs)
     assert np.stack([change.vx, change.vy, change.omega], axis=-1)[1] == pytest.approx(expected, rel=1e-3, abs=1e-4)
 
 
@@ -44,10 +36,7 @@ def test_stored_networks_of_a_form_predict_links_as_they_were_trained(name):
     [
         ({}, "form 'plain' is registered twice"),
         ({"name": "other", "inputs": ("y",)}, "form 'other': read returns 6 inputs, expected 1: y"),
-        (
-            {"name": "other", "act": lambda outputs, inputs: outputs[:2]},
-            "form 'other': act returns 2 changes, expected 3",
-        ),
+        ({"name": "other", "act": lambda outputs, inputs: outputs[:2]}, "'other': act returns 2 changes, expected 3"),
     ],
 )
 def test_a_form_that_does_not_fit_itself_is_refused(wrong, said):

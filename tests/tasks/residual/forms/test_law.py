@@ -95,10 +95,8 @@ def test_a_factor_that_is_nearly_in_proportion_to_the_time_step_follows_it(monke
 
 @pytest.mark.parametrize("form", ["law:dry_land", "law:randomised_slush", "law:honey", "law_and_network:honey"])
 def test_a_law_without_constants_is_refused(form):
-    medium = form.partition(":")[2]
-    with pytest.raises(
-        ValueError, match=f"expected the law of a fluid with constants, any of true_slush, .*'{medium}'"
-    ):
+    said = f"expected the law of a fluid with constants, any of true_slush, .*'{form.partition(':')[2]}'"
+    with pytest.raises(ValueError, match=said):
         form_named(form)
 
 
@@ -113,7 +111,5 @@ def test_a_medium_with_a_change_of_its_own_has_no_constants():
 def test_throws_that_do_not_touch_the_fluid_are_an_error_with_its_reason():
     found = throws(Slush())
     dry = found[found.state[:, 1] > 2.0]
-    with pytest.raises(
-        UnfittedLaw, match="density, linear_drag, angular_drag: expected throws that the constant makes"
-    ):
+    with pytest.raises(UnfittedLaw, match="density, linear_drag, angular_drag: expected throws that the constant"):
         trained(replace(dry, throw=np.arange(len(dry)) % 4), "law")

@@ -152,11 +152,10 @@ def test_networks_learn_from_mirror_images_where_the_fluid_is_at_rest(monkeypatc
     starts = initial_states(settings, np.random.default_rng(2))
     flowing, still = (simulate_throws(starts, 100, medium, Physics()) for medium in (FlowingSlush(), Slush()))
     training = Training(n_iterations=800, batch_size=512, learning_rate=0.02, loss="mse", held_out=0.3)
+    network = Architecture(hidden_layers=2, width=32, form="wetted")
 
     def error(thrown):
-        member = train_member(
-            thrown, Architecture(hidden_layers=2, width=32, form="wetted"), training, seed=1, member=0
-        )
+        member = train_member(thrown, network, training, seed=1, member=0)
         (row,) = (row for row in member.validation if (row.component, row.band) == ("vx", "all"))
         return row.relative_error
 

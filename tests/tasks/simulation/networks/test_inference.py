@@ -14,20 +14,16 @@ from tasks.simulation.networks.tiles import TILE_UNITS
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="the ensemble uses NumPy then")
 
 
-def networks(hidden_layers, width, n_members=3, n_out=3, seed=0):
-    rng = np.random.default_rng(seed)
-    sizes = [6, *[width] * hidden_layers, n_out]
+def networks(hidden_layers, width, n_members=3):
+    rng = np.random.default_rng(0)
+    sizes = [6, *[width] * hidden_layers, 3]
     weights = [(rng.normal(size=(n_members, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     biases = [(0.2 * rng.normal(size=(n_members, b))).astype(np.float32) for b in sizes[1:]]
     return weights, biases
 
 
-def packed(hidden_layers, width):
-    return PackedNetworks(*networks(hidden_layers, width))
-
-
-def rows(n_rows, n_members=3, seed=1):
-    return np.random.default_rng(seed).normal(size=(n_members, n_rows, 6)).astype(np.float32)
+def rows(n_rows, n_members=3):
+    return np.random.default_rng(1).normal(size=(n_members, n_rows, 6)).astype(np.float32)
 
 
 def by_torch(weights, biases, x):
@@ -76,8 +72,7 @@ def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input(width):
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf])
 def test_what_is_not_finite_stays_in_its_row(poison):
-    network = packed(2, 64)
-    x = rows(100)
+    network, x = PackedNetworks(*networks(2, 64)), rows(100)
     clean = network.forward(x)
     x[1, 37, 2] = poison
     got = network.forward(x)
