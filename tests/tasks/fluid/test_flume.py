@@ -10,6 +10,7 @@ import pytest
 from tasks.fluid import Flume
 from tasks.fluid.buoyancy import displaced
 from tasks.fluid.cover import covered
+from tasks.fluid.transport import carry
 
 DT, G, RHO = 1 / 60, 9.8, 1.25
 
@@ -75,6 +76,16 @@ def test_still_water_is_still():
     rounding = 60 * 60 * 1e-14
     assert abs(links.pose - (12.0, -2.0, 0.4)).max() < rounding
     assert max(abs(links.flume.water.u).max(), abs(links.flume.water.v).max()) < rounding
+
+
+@pytest.mark.parametrize("row", [-1, -2, -3])
+def test_transport_makes_no_new_extremes(row):
+    """Rising water in one row of faces; the last one has half a cell, which 0.9 of a cell in a step would empty."""
+    flume = Flume(*np.ones((3, 1)), length=4.0, depth=1.0)
+    flume.water.u[:] = 0.1
+    flume.water.v[:, row] = fastest = 0.9 * flume.grid.spacing / DT
+    carry(flume.grid, flume.water)
+    assert flume.water.v.min() >= 0.0 and flume.water.v.max() <= fastest
 
 
 @pytest.mark.parametrize(("length_scale", "angle"), [(1.0, 0.0), (2.0, np.pi / 2), (3.0, np.pi / 2)])
