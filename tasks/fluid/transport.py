@@ -46,7 +46,7 @@ def _flows(grid: Grid, water: Water, of_u: Float64, of_v: Float64) -> float:
 
 @inline
 def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: float, per_velocity: float) -> None:
-    """Carry the momentum along x, around each left face; what leaves through y = 0 is stored."""
+    """Carry the momentum along x, around each left face; what leaves through y = 0 is stored, but none in a trough."""
     n_columns, n_rows = old.shape
     for i in range(n_columns):
         left, right, further = i - 1, (i + 1) % n_columns, (i + 2) % n_columns
@@ -56,7 +56,8 @@ def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
             west, east = share * (of_u[left, j] + of_u[i, j]) / 2, share * (of_u[i, j] + of_u[right, j]) / 2
             south, north = share * (of_v[left, j] + of_v[i, j]) / 2, share * (of_v[left, j + 1] + of_v[i, j + 1]) / 2
             if j == n_rows - 1:
-                north = share * per_velocity * (water.outflow[left] + water.outflow[i]) / 2
+                is_trough = water.rise[left] + water.rise[i] < 0.0
+                north = 0.0 if is_trough else share * per_velocity * (water.outflow[left] + water.outflow[i]) / 2
                 water.store[i] += north * old[i, j]
             water.u[i, j] = (
                 old[i, j]
@@ -70,7 +71,10 @@ def _carry_u(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
 
 @inline
 def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: float) -> None:
-    """Carry the momentum along y, around each lower face; half a cell below y = 0 belongs to the last."""
+    """Carry the momentum along y, around each lower face; half a cell below y = 0 belongs to the last.
+
+    What flows down into a trough brings none. What rises takes its own, or jets would grow.
+    """
     n_columns, n_rows = of_u.shape
     for i in range(n_columns):
         left, right, further = i - 1, (i + 1) % n_columns, (i + 2) % n_columns
@@ -81,6 +85,8 @@ def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
                 west, east = west + of_u[i, j], east + of_u[right, j]
             west, east = share * west / 2, share * east / 2
             south, north = share * (of_v[i, j - 1] + of_v[i, j]) / 2, share * (of_v[i, j] + of_v[i, above]) / 2
+            if j == n_rows and water.rise[i] < 0.0:
+                north = max(north, 0.0)
             gain = (
                 _through(west, old[i - 2, j], old[left, j], old[i, j], old[right, j])
                 - _through(east, old[left, j], old[i, j], old[right, j], old[further, j])
@@ -94,17 +100,13 @@ def _carry_v(water: Water, old: Float64, of_u: Float64, of_v: Float64, share: fl
 def _share_store(grid: Grid, water: Water) -> None:
     """Let the water over y = 0 move like the water right below it; in a trough there is none.
 
-    What flows up through y = 0 there, or down, is water that the grid has and the flume has not; it has the velocity of
-    the water right below, and no memory.
+    The grid has water in a trough that the flume has not. It came without momentum, and goes without.
     """
     for i in range(len(water.rise)):
-        cells = (water.rise[i - 1] + water.rise[i]) / (2.0 * grid.spacing)
-        if cells > 0.0:
-            given = (water.store[i] - cells * water.u[i, -1]) / (1.0 + cells)
-            water.u[i, -1] += given
-            water.store[i] -= given
-        else:
-            water.store[i] = 0.0
+        cells = max(water.rise[i - 1] + water.rise[i], 0.0) / (2.0 * grid.spacing)
+        given = (water.store[i] - cells * water.u[i, -1]) / (1.0 + cells)
+        water.u[i, -1] += given
+        water.store[i] -= given
 
 
 def _carry(grid: Grid, water: Water) -> None:
