@@ -96,8 +96,11 @@ rub, fill = compiled(_rub, seconds=3), compiled(_fill, seconds=3)
 
 
 @lru_cache(maxsize=8)
-def _eliminated(grid: Grid, n_columns: int) -> tuple[Float64, Float64]:
-    """Return A of open water after the elimination, and its rows over their diagonal; flumes of a grid share them."""
+def _eliminated(grid: Grid, n_columns: int) -> tuple[Float64, Float64, Float64]:
+    """Return A of open water after the elimination, its rows over their diagonal, and a place for A with links.
+
+    Flumes of a grid share them: a place of its own in each step would cost as much as the elimination.
+    """
     shape = n_columns, round(-grid.floor / grid.spacing)
     faces = n_columns, shape[1] + 1
     water = Water(np.zeros(shape), np.zeros(faces), *np.zeros((4, n_columns)))
@@ -105,7 +108,7 @@ def _eliminated(grid: Grid, n_columns: int) -> tuple[Float64, Float64]:
     cover = Cover(np.zeros((0, *shape)), np.zeros((0, *faces)), np.ones(shape), np.ones(faces), np.ones(0))
     number, band = np.empty(shape, np.int64), np.zeros((n_columns * shape[1], 2 * shape[1] + 1))
     project(grid, links, water, cover, cell_order(n_columns, 0), number, band, np.zeros_like(band), False)
-    return band, band / band[:, :1]
+    return band, band / band[:, :1], np.empty_like(band)
 
 
 class Flume:
@@ -119,7 +122,7 @@ class Flume:
         *,
         length: float = 24.0,
         depth: float = 4.0,
-        spacing: float = 0.25,
+        spacing: float = 0.125,
         density: float = 1.25,
         gravity: float = 9.8,
         time_step: float = 1 / 60,
@@ -148,7 +151,7 @@ class Flume:
             np.zeros((n_links, *shape)), np.zeros((n_links, *faces)), np.ones(shape), np.ones(faces), np.ones(n_links)
         )
         self._number = np.empty(shape, np.int64)
-        self._open_water, self._factor = _eliminated(self.grid, n_columns)
+        self._open_water, self._factor, self._band = _eliminated(self.grid, n_columns)
 
     @property
     def length(self) -> float:
@@ -204,7 +207,8 @@ class Flume:
         rub(grid, links, water, cover, before)
         float_links(grid, links, cover)
         order = cell_order(len(water.rise), round(links.pose[:, 0].mean() / grid.spacing))
-        project(grid, links, water, cover, order, self._number, self._open_water.copy(), self._factor, True)
+        self._band[:] = self._open_water
+        project(grid, links, water, cover, order, self._number, self._band, self._factor, True)
         fill(grid, links, water, cover)
         dvx, dvy, domega = (links.velocity - tentative).T
         return dvx, dvy, domega

@@ -18,10 +18,10 @@ DT, G, RHO = 1 / 60, 9.8, 1.25
 class FreeLinks:
     """Links without joints in a flume, moved as an engine does: the fluid's change, gravity, then the move."""
 
-    def __init__(self, length_scale, pose, velocity=(0.0, 0.0, 0.0), mass=1.0, **settings):
+    def __init__(self, length_scale, pose, velocity=(0.0, 0.0, 0.0), mass=1.0, spacing=0.25, **settings):
         a = np.array(length_scale, float)
         masses = np.full(len(a), mass)
-        self.flume = Flume(a, masses, masses * (a**2 + a**-2) / 12, **settings)
+        self.flume = Flume(a, masses, masses * (a**2 + a**-2) / 12, spacing=spacing, **settings)
         self.pose = np.broadcast_to(np.array(pose, float), (len(a), 3)).copy()
         self.velocity = np.broadcast_to(np.array(velocity, float), (len(a), 3)).copy()
 

@@ -70,4 +70,4 @@ def test_links_are_wide_enough_for_the_cells():
     with pytest.raises(ValueError, match="spacing"):
         FluidFlume(spacing=0.26)
     with pytest.raises(ValueError, match=r"fluid.spacing: expected links at least 0.31 m wide, got 0.25 m"):
-        puddle.throw("fluid", Throws(length_scales=(4.0,), n_throws=2, n_steps=2))
+        puddle.throw(FluidFlume(spacing=0.25), Throws(length_scales=(4.0,), n_throws=2, n_steps=2))
