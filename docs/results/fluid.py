@@ -54,7 +54,7 @@ def robots() -> None:
     champions = Designs.concatenate([study.champion(name, depth=4.0, trial=trial) for name, trial in places])
     for designs in (champions, puddle.random_designs(20, np.random.default_rng(1))):
         root, whole = [], []
-        for spacing in (0.25, 0.125):
+        for spacing in (0.125, 0.0625):
             done = puddle.simulate(designs, puddle.Pool(4.0, FluidFlume(spacing=spacing)), n_settle=200, n_measure=600)
             print(spacing, done.displacement.round(2), done.com_displacement.round(2))
             root.append(done.displacement)

@@ -32,7 +32,18 @@ def _velocity_v(links: Links, velocity: Float64, link: int, x: float, length: fl
     return velocity[link, 1] + velocity[link, 2] * wrapped(x - links.pose[link, 0], length)
 
 
-def _rub(grid: Grid, links: Links, water: Water, cover: Cover, before: Float64) -> None:
+@inline
+def _earlier(velocity: Float64, turn: Float64, link: int, x: float, y: float) -> tuple[float, float]:
+    """Return the velocity that what a link has at x, y from its centre had before the link turned.
+
+    To take the link's velocity field at the place instead would be a centrifugal force on what is under water, which
+    cancels only if all of the link is.
+    """
+    cos, sin, omega = np.cos(turn[link]), np.sin(turn[link]), velocity[link, 2]
+    return velocity[link, 0] - omega * (cos * y - sin * x), velocity[link, 1] + omega * (cos * x + sin * y)
+
+
+def _rub(grid: Grid, links: Links, water: Water, cover: Cover, before: Float64, turn: Float64) -> None:
     """Give links the momentum that the flow carried into or out of what they cover.
 
     Inside a link the fluid has the link's velocity. What the transport mixes across a link's edge, in the thickness of
@@ -44,6 +55,7 @@ def _rub(grid: Grid, links: Links, water: Water, cover: Cover, before: Float64) 
         water: velocities after the transport.
         cover: what the links cover.
         before: (n_links, 3) velocities that the links had in the transport.
+        turn: (n_links,) angles by which they turned since.
     """
     h, (n_columns, n_rows) = grid.spacing, water.u.shape
     per_velocity, length, n_links = grid.density * h * h, n_columns * h, len(links.mass)
@@ -54,7 +66,8 @@ def _rub(grid: Grid, links: Links, water: Water, cover: Cover, before: Float64) 
             if j < n_rows and cover.open_u[i, j] < 1.0:
                 slip = (1.0 - cover.open_u[i, j]) * water.u[i, j]
                 for link in range(n_links):
-                    slip -= cover.of_u[link, i, j] * _velocity_u(links, before, link, y)
+                    along, up = wrapped(i * h - links.pose[link, 0], length), y - links.pose[link, 1]
+                    slip -= cover.of_u[link, i, j] * _earlier(before, turn, link, along, up)[0]
                 slip *= per_velocity / (1.0 - cover.open_u[i, j])
                 for link in range(n_links):
                     arm = links.pose[link, 1] - y
@@ -62,7 +75,8 @@ def _rub(grid: Grid, links: Links, water: Water, cover: Cover, before: Float64) 
             if j > 0 and cover.open_v[i, j] < 1.0:
                 slip = (1.0 - cover.open_v[i, j]) * water.v[i, j]
                 for link in range(n_links):
-                    slip -= cover.of_v[link, i, j] * _velocity_v(links, before, link, x, length)
+                    along, up = wrapped(x - links.pose[link, 0], length), j * h + grid.floor - links.pose[link, 1]
+                    slip -= cover.of_v[link, i, j] * _earlier(before, turn, link, along, up)[1]
                 slip *= per_velocity * (1.0 if j < n_rows else 0.5) / (1.0 - cover.open_v[i, j])
                 for link in range(n_links):
                     arm = wrapped(x - links.pose[link, 0], length)
@@ -198,13 +212,13 @@ class Flume:
             omega: (n_links,) [rad/s].
         """
         grid, links, water, cover = self.grid, self.links, self.water, self.cover
-        before = links.velocity.copy()
+        before, turn = links.velocity.copy(), angle - links.pose[:, 2]
         links.pose[:] = np.stack((x, y, angle), axis=1)
         links.velocity[:] = np.stack((vx, vy - grid.gravity * grid.time_step, omega), axis=1)
         tentative = links.velocity.copy()
         carry(grid, water)
         cover_faces(grid, links, cover)
-        rub(grid, links, water, cover, before)
+        rub(grid, links, water, cover, before, turn)
         float_links(grid, links, cover)
         order = cell_order(len(water.rise), round(links.pose[:, 0].mean() / grid.spacing))
         self._band[:] = self._open_water
