@@ -29,7 +29,7 @@ class FluidFlume(Parameters):
     """ρ [kg/m²]; the slush's."""
     spacing: float = Field(default=0.125, ge=0.02, le=0.25)
     """Edge of a cell of the grid [m]; a link, at least 0.33 m wide, must be 1.25 cells wide, or water leaks through
-    it. With half of it, which takes five times as long, robots go as far; with twice as much they do not."""
+    it. Half of it takes five times as long."""
     length: float = Field(default=24.0, ge=4.0, le=1000.0)
     """Length of a robot's flume [m]. A robot that goes further than that meets its own wake."""
     bar_length: float = Field(default=12.0, ge=4.0, le=1000.0)
