@@ -94,8 +94,8 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
             check_connections(one, {"gcs_server", "raylet"} if number == 0 else set())
             one.process.send_signal(signal.Signals[way])
             one.wait_for(one.ended, here(60.0 if way == "SIGKILL" else 5.0))
-            assert way == "SIGKILL" or not any(Path(folder).exists() for folder in folders)
             code = one.process.wait()
+            assert way == "SIGKILL" or not any(Path(folder).exists() for folder in folders), (code, one.said())
             if way == "SIGINT" and spoke:
                 assert code == 130, one.said()
                 assert not re.search(r"Traceback|SIG\w+ received|\*\*\*", one.said()), one.said()
