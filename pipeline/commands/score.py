@@ -25,9 +25,10 @@ from pipeline.store.tables import Columns, csv_of
 from pipeline.workflow.stage import Execution
 from tasks.evolution import OBJECTIVES
 from tasks.residual import arm_kind
+from tasks.simulation.fluids import is_compiled
 
 _AT_ONCE, _WITH_TRACE = 4096, 64  # designs simulated in one call, to bound the memory
-_SLOWLY = 16  # the same in other engines than the batch one, which take a second
+_SLOWLY = 4  # the same in other engines than the batch one, and in media that it does not compile
 _UNITS = {
     "design": "row of the table, from 0",
     "diverged": "",
@@ -68,7 +69,8 @@ def score(
     at = environments.build_environment(simulation.media, name, depth, networks)
     execution, fitness = Execution(engine or settings.work.engine), environments.fitness_spec(settings, name)
     parts: list[Columns] = []
-    at_once = _SLOWLY if execution.engine != "batch" else _WITH_TRACE if objective.trace else _AT_ONCE
+    is_fast = execution.engine == "batch" and (at.medium is None or is_compiled(at.medium) or at.is_ensemble)
+    at_once = (_WITH_TRACE if objective.trace else _AT_ONCE) if is_fast else _SLOWLY
     firsts = range(0, len(designs), at_once)
     with typer.progressbar(firsts, hidden=not sys.stderr.isatty(), file=sys.stderr) as shown:
         for first in shown:
