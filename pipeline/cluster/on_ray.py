@@ -181,11 +181,25 @@ def _local(n_workers: int) -> Iterator[_Ray]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder of Ray's, whose last processes write there for a moment after it was shut down."""
+    """Remove a folder of Ray's, which its last processes write into and a worker that still starts makes anew."""
     end = time.monotonic() + _LAST_WORDS_SECONDS
-    while folder.exists() and time.monotonic() < end:
+    while (_kill_the_last(folder) or folder.exists()) and time.monotonic() < end:
         shutil.rmtree(folder, ignore_errors=True)
         time.sleep(0.05)
+
+
+def _kill_the_last(folder: Path) -> bool:
+    """Kill Ray's processes of a folder, and return whether there were any.
+
+    Workers outlive a raylet that is killed, and Ray kills one that takes more than a second to end.
+    """
+    import psutil
+
+    found = [one for one in psutil.process_iter(["cmdline"]) if f"={folder}/" in " ".join(one.info["cmdline"] or ())]
+    for one in found:
+        with contextlib.suppress(psutil.Error):
+            one.kill()
+    return bool(found)
 
 
 def _servers_alive() -> Callable[[], bool]:

@@ -253,6 +253,29 @@ def test_the_death_of_a_server_is_reported_at_once_and_leaves_no_process(tmp_pat
         assert "Ray on this machine died" in driver.said()
 
 
+LOSES_ITS_RAYLET = """
+import os, time
+import psutil
+from pipeline.cluster import ray_cluster
+from pipeline.cluster.process import prepare_process
+prepare_process()
+with ray_cluster(n_workers=1) as cluster:
+    print(os.environ["RAY_AUTH_TOKEN_PATH"], flush=True)
+    cluster.submit(time.sleep, 600.0)
+    [raylet] = [process for process in psutil.Process().children() if process.name() == "raylet"]
+    while not any(child.name().startswith("python") for child in raylet.children()):
+        time.sleep(0.01)
+    raylet.kill()
+"""
+
+
+def test_a_worker_that_starts_while_its_raylet_is_killed_leaves_no_folder(tmp_path):
+    with started([sys.executable, "-c", LOSES_ITS_RAYLET], tmp_path / "log", dict(os.environ), cwd=ROOT) as driver:
+        driver.wait_for(driver.ended, 180.0)
+        token = Path(driver.said().split()[0])
+        assert token.name == "token" and not token.parent.exists()
+
+
 LOSES_A_MACHINE = """
 import os, sys, time
 from pathlib import Path
