@@ -45,7 +45,7 @@ def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
         arms = arms_of(trials).items() if table.each == "arm" else [(None, trials)]
         for arm, of_arm in arms:
             home = arm.environment if arm else learned if "networks" in table.reads else settings.target
-            weight = table.cost * len(of_arm) * seconds_of_rollout(settings, home)
+            weight = table.cost * sum(seconds_of_rollout(settings, home, trial.depth) for trial in of_arm)
             spec = AnalysisSpec(name, table.version, data_spec(settings, of_arm))
             chains.append(Chain(OutputId(name, arm), (1,), spec, weight=weight))
     return chains

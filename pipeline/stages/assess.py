@@ -83,7 +83,7 @@ def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
                 settings.target,
                 learner,
             ),
-            sum(seconds_of_rollout(settings, name) for name in (settings.target, learner)),
+            sum(seconds_of_rollout(settings, name, trial.depth) for name in (settings.target, learner)),
         )
         for trial, n in shares
         if n

@@ -5,6 +5,8 @@ before the store has measured any. The constants are of one core of an AMD EPYC 
 a factor of two.
 """
 
+import math
+
 from pipeline.config.settings import Settings
 from pipeline.stages.environments import environment_of, media_of
 from tasks.residual import Architecture, Throws, Training
@@ -40,15 +42,16 @@ def seconds_of_iteration(network: Architecture, training: Training) -> float:
 
 def seconds_of_throw(settings: Settings, throws: Throws) -> float:
     """Estimate the time of a throw into the target."""
-    return (throws.n_steps or _STEPS_OF_DESIGNED_THROW) * (_STEP_OF_THROW + _step_in_numpy(settings, settings.target))
+    step = _STEP_OF_THROW + _step_in_numpy(settings, settings.target, math.inf)
+    return (throws.n_steps or _STEPS_OF_DESIGNED_THROW) * step
 
 
-def seconds_of_generation(settings: Settings, environment: EnvironmentName) -> float:
+def seconds_of_generation(settings: Settings, environment: EnvironmentName, depth: float) -> float:
     """Estimate the time of a generation of a trial, of one rollout each."""
-    return population_size(settings) * seconds_of_rollout(settings, environment)
+    return population_size(settings) * seconds_of_rollout(settings, environment, depth)
 
 
-def seconds_of_rollout(settings: Settings, environment: EnvironmentName) -> float:
+def seconds_of_rollout(settings: Settings, environment: EnvironmentName, depth: float) -> float:
     """Estimate the time of one rollout of one robot, under all members of an ensemble."""
     n_steps = settings.rollout.n_settle + settings.rollout.n_measure
     engine: str = settings.work.engine
@@ -60,17 +63,17 @@ def seconds_of_rollout(settings: Settings, environment: EnvironmentName) -> floa
         return n_steps * n_members * (max(_STEP_UNDER_NETWORK, _STEP[engine]) + inference)
     if environment not in ENVIRONMENTS:  # of code that is not here
         return n_steps * _STEP[engine]
-    n_members = environment_of(media_of(settings, environment), environment, 0.0).n_members
-    return n_steps * n_members * (_STEP[engine] + _step_in_numpy(settings, environment))
+    n_members = environment_of(media_of(settings, environment), environment, depth).n_members
+    return n_steps * n_members * (_STEP[engine] + _step_in_numpy(settings, environment, depth))
 
 
-def _step_in_numpy(settings: Settings, environment: EnvironmentName) -> float:
+def _step_in_numpy(settings: Settings, environment: EnvironmentName, depth: float) -> float:
     """Estimate the time of a robot's step in a medium without a kernel, beside a step on dry land [s]."""
     if environment not in ENVIRONMENTS:
         return 0.0  # the medium's code is not here
     medium = environment_of(media_of(settings, environment), environment, 0.0).medium
     if (seconds := getattr(medium, "seconds_per_step", None)) is not None:
-        return float(seconds)
+        return float(seconds(depth))
     if settings.work.engine != "batch":
         return 0.0  # the slush is in NumPy there, too
     if ENVIRONMENTS[environment].engine:

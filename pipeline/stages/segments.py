@@ -95,7 +95,7 @@ def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -
         spec.identity,
         units,
         spec,
-        weight=seconds_of_generation(settings, spec.environment) * n_rollouts,
+        weight=seconds_of_generation(settings, spec.environment, depth) * n_rollouts,
         batch_key=Arm(spec.environment, depth),
         batch_size=batch_size(settings, spec.environment),
     )

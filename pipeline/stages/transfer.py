@@ -56,7 +56,7 @@ def _plan(settings: Settings) -> Sequence[Chain[ScoreSpec]]:
         simulation = environments.simulation_spec(settings, trial.environment, settings.target)
         fitness = environments.fitness_spec(settings, trial.environment)
         places = trial.environment, settings.target, settings.target
-        cost = sum(seconds_of_rollout(settings, environment) for environment in places)
+        cost = sum(seconds_of_rollout(settings, environment, trial.depth) for environment in places)
         spec = ScoreSpec(trial, settings.target, simulation, fitness)
         if engines := settings.transfer.other_engines:
             spec = InEnginesSpec(**vars(spec), engines=engines)

@@ -37,10 +37,10 @@ class FluidFlume(Parameters):
     bar_depth: float = Field(default=9.0, ge=1.0, le=100.0)
     """Depth of a thrown bar's flume [m]; the bar falls through its floor."""
 
-    @property
-    def seconds_per_step(self) -> float:
-        """Approximate time that a core takes for a step of a robot in water 4 m deep, for forecasts [s]."""
-        return 3e-3 * math.pow(0.125 / self.spacing, 2.5) * self.length / 24
+    def seconds_per_step(self, depth: float) -> float:
+        """Approximate time that a core takes for a step, for forecasts [s]."""
+        area = self.bar_length * self.bar_depth if math.isinf(depth) else self.length * depth
+        return 3e-3 * math.pow(0.125 / self.spacing, 2.5) * area / 96
 
     def start(self, links: LinkStates, physics: Physics, depth: float) -> Flumes:
         """Return still water around designs."""

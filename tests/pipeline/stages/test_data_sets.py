@@ -120,8 +120,8 @@ def test_trials_of_domain_randomisation_share_the_members_of_the_study_s_seed(se
     media = {"randomised_slush": settings.randomised_slush.of_study(4)}
     expected = environments.build_environment(media, "randomised_slush", 1.0, {})
     assert len(built) == 3 and all(one == expected for one in built)
-    cost = seconds_of_rollout(settings, "true_slush")
-    assert seconds_of_rollout(settings, "randomised_slush") == pytest.approx(3 * cost)
+    cost = seconds_of_rollout(settings, "true_slush", 9.0)
+    assert seconds_of_rollout(settings, "randomised_slush", 9.0) == pytest.approx(3 * cost)
 
 
 def test_fitness_is_the_mean_over_members_less_their_disagreement(sets):
